@@ -261,7 +261,7 @@ def assemble(
     machine_policies = MachinePolicies(database, registry, policies)
     deployments = Deployments(database, audit, registry, policies, approvals, spec)
     throws = ThrowStore(database, audit, registry, policies, hub)
-    ingest = EventIngest(database, throws, hub, metrics)
+    ingest = EventIngest(database, throws, hub, metrics, policies.name_of)
     link = MachineLink(settings.site, registry, ingest.take, metrics)
     commands = MachineCommands(database, audit, link, registry, metrics)
     leases = _leases(settings, database, audit, registry, hub)

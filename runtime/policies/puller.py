@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
@@ -48,6 +49,8 @@ class PolicyOffer(BaseModel):
     """Empty: the installed version. None: approvals have changed, take what a start would take."""
     deployment_count: int | None = Field(default=None, ge=1)
     """None: a rollback asked for at the machine."""
+    refusal: str = ""
+    """Why it is not switched to, for the server; empty = it is."""
 
 
 class RollbackRequest(BaseModel):
@@ -172,6 +175,8 @@ class PolicyPuller:
         if self._target is None:
             return
         try:
+            # Before the answer: one on a slow link must not make a deployment look newer than a rollback.
+            sent_s = time.time()
             found = fetch_wanted(self._target, self._slots.trust())
             if found.trust is not None and self._slots.keep_trust(found.trust, self._site_key):
                 trust = found.trust
@@ -180,7 +185,10 @@ class PolicyPuller:
                 )
                 self._recheck = set(Mode)
             self._check_again()
-            is_fetched = [self._follow(self._target, wanted) for wanted in found.policies]
+            is_fetched = [
+                self._follow(self._target, wanted, sent_s - wanted.age_s)
+                for wanted in found.policies
+            ]
             self._wait_s, self._said = 0.0 if any(is_fetched) else POLL_PERIOD_S, ""
         except (TransferError, PolicyError) as error:
             self._wait_s = min(max(self._wait_s * 2.0, POLL_PERIOD_S), POLL_PERIOD_MAX_S)
@@ -194,9 +202,17 @@ class PolicyPuller:
             if self._send(Kind.POLICY, offer.model_dump(mode="json")):
                 self._recheck.discard(mode)
 
-    def _follow(self, target: UploadTarget, wanted: WantedPolicy) -> bool:
-        """Fetch a version, or offer one that is here; whether it was fetched."""
-        if wanted.deployment_count <= self._slots.of(wanted.mode).deployment_count:
+    def _follow(self, target: UploadTarget, wanted: WantedPolicy, asked_s: float) -> bool:
+        """Fetch a version, or offer one that is here; whether it was fetched.
+
+        Args:
+            target: the server.
+            wanted: by the server.
+            asked_s: Unix time at which it was asked for.
+        """
+        is_known = wanted.deployment_count <= self._slots.of(wanted.mode).deployment_count
+        # A rollback at the machine comes first: it decides about what was asked for before.
+        if is_known or self._request_file.exists():
             return False
         with self._lock:
             waiting = self._offered.get(wanted.mode)
@@ -208,19 +224,37 @@ class PolicyPuller:
         )
         if is_waiting:
             return False
-        if not has_version(wanted, self._slots):
+        refusal = self._rollback_refusal(wanted, asked_s)
+        if not refusal and not has_version(wanted, self._slots):
             fetch_version(target, wanted, self._slots)
-            # It may have been taken back during the transfer: offered only if it is still wanted.
+            # It may have been taken back during the transfer: offered only if it is still wanted then.
             return True
         self._offer(
             PolicyOffer(
                 mode=wanted.mode,
                 policy_sha256=wanted.policy_sha256,
                 deployment_count=wanted.deployment_count,
+                refusal=refusal,
             )
         )
         self._slots.remove_unused(frozenset({wanted.policy_sha256}))
         return False
+
+    def _rollback_refusal(self, wanted: WantedPolicy, asked_s: float) -> str:
+        """Why a deployment that was asked for before a rollback at the machine is not carried out."""
+        slots = self._slots.of(wanted.mode)
+        rolled_back_s = slots.rolled_back_s
+        if (
+            rolled_back_s is None
+            or asked_s > rolled_back_s
+            or slots.current == wanted.policy_sha256
+        ):
+            return ""
+        at = datetime.fromtimestamp(rolled_back_s, UTC)
+        return (
+            f"{wanted.mode.value} was rolled back at the machine at {at:%Y-%m-%d %H:%M:%S} UTC, after this "
+            "was asked for; deploy again if it is still meant"
+        )
 
     def _offer(self, offer: PolicyOffer) -> bool:
         # Noted before it is sent: the answer may come on another thread at once.

@@ -9,9 +9,10 @@ import logging
 import os
 import shutil
 import threading
+import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
@@ -40,6 +41,8 @@ class ModeSlots(BaseModel):
     """The one before; None = there was none."""
     deployment_count: int = Field(default=0, ge=0)
     """Newest deployment of the server that was carried out or refused here."""
+    rolled_back_s: float | None = Field(default=None, ge=0.0)
+    """Unix time of a rollback at the machine after which no deployment was carried out or refused."""
 
 
 _SLOTS: Final = TypeAdapter(dict[Mode, ModeSlots])
@@ -74,7 +77,9 @@ class PolicySlots:
         with self._lock:
             slots = self.of(mode)
             counted = max(slots.deployment_count, deployment_count or 0)
-            changes: dict[str, str | int | None] = {"deployment_count": counted}
+            changes: dict[str, Any] = {"deployment_count": counted}
+            # Without a count, a person at the machine asked.
+            changes["rolled_back_s"] = time.time() if deployment_count is None else None
             if policy_sha256 != slots.current:
                 changes |= {"current": policy_sha256, "previous": slots.current}
             self._write(mode, slots.model_copy(update=changes))
@@ -88,7 +93,8 @@ class PolicySlots:
         with self._lock:
             slots = self.of(mode)
             if deployment_count > slots.deployment_count:
-                self._write(mode, slots.model_copy(update={"deployment_count": deployment_count}))
+                changes = {"deployment_count": deployment_count, "rolled_back_s": None}
+                self._write(mode, slots.model_copy(update=changes))
 
     def roll_back(self, mode: Mode) -> str:
         """Put the previous version into use; returns its sha256, empty for the installed one.

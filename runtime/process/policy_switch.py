@@ -73,6 +73,9 @@ class PolicySwitch:
         self._thread.start()
 
     def _run(self, offer: PolicyOffer) -> None:
+        if offer.refusal:
+            self._loaded = LoadedPolicy(offer, None, offer.refusal)
+            return
         # Where the loop has no priority, there is none to give up.
         with contextlib.suppress(OSError, AttributeError):
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

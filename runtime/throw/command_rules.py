@@ -274,7 +274,7 @@ def _plan_refusal(
         return CommandRefusal(
             RejectReason.POLICY_MISMATCH,
             f"The plan is for policy {plan.policy_sha256[:12]}, on board is "
-            f"{card.policy_sha256[:12]} ({card.policy_id}). Plan again.",
+            f"{card.policy_sha256[:12]} ({card.policy_id}). Preview again with the policy on board.",
         )
     try:
         check_target(card, plan.target, load_kg(plan.material))

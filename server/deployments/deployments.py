@@ -168,6 +168,7 @@ class Deployments:
                     mode=Mode(row.mode),
                     deployment_count=row.deployment_count,
                     policy_sha256=row.policy_sha256,
+                    age_s=max(0.0, (utc_now() - row.created_utc).total_seconds()),
                     files=files,
                 )
             )

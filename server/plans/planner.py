@@ -203,9 +203,9 @@ class Planner:
         if aboard != policy.card.policy_sha256:
             return RefusedError(
                 RejectReason.POLICY_MISMATCH,
-                f"Refused: the machine has policy {aboard[:12]} for "
-                f"{policy.card.mode.value} on board, which this server does not have. "
-                "Add it to the server's policies folder, or install a version that is there.",
+                f"Refused: {state.machine_id} has policy {aboard[:12]} for {policy.card.mode.value} on "
+                f"board, which this server does not have; its own is {policy.card.policy_id} "
+                f"({policy.card.policy_sha256[:12]}). Upload the first or deploy the second: page Policies.",
             )
         return self._zone_refusal(state)
 

@@ -88,6 +88,8 @@ class WantedPolicyView(View):
     mode: Mode
     deployment_count: int
     policy_sha256: str
+    age_s: float
+    """Since a person or rollout asked for it."""
     files: tuple[VersionFileView, ...]
     """Empty where the server does not have the version any more."""
 

@@ -34,8 +34,8 @@ _ALERTS = {
     EventKind.STOP_LATCHED: ("error", "is stopped"),
     EventKind.FAULT: ("error", "has a fault"),
     EventKind.STOP_CLEARED: ("info", "is released from stop"),
-    EventKind.POLICY_SWITCHED: ("info", "throws with another policy version"),
-    EventKind.POLICY_REFUSED: ("error", "cannot use a policy version"),
+    EventKind.POLICY_SWITCHED: ("info", "throws with {policy}"),
+    EventKind.POLICY_REFUSED: ("error", "refuses {policy}"),
 }
 EndListener = Callable[[str], None]
 StoreListener = Callable[[DatabaseSession, MachineEvent], None]
@@ -45,8 +45,23 @@ class EventIngest:
     """Takes batches of events."""
 
     def __init__(
-        self, database: Database, throws: ThrowStore, hub: EventHub, metrics: ServiceMetrics
+        self,
+        database: Database,
+        throws: ThrowStore,
+        hub: EventHub,
+        metrics: ServiceMetrics,
+        policy_name_of: Callable[[str], str],
     ) -> None:
+        """Begin.
+
+        Args:
+            database: events and throws.
+            throws: follows them.
+            hub: tells consoles.
+            metrics: counts.
+            policy_name_of: id of a policy version by its sha256.
+        """
+        self._policy_name_of = policy_name_of
         self._database = database
         self._throws = throws
         self._hub = hub
@@ -142,7 +157,9 @@ class EventIngest:
             listener(event)
         if event.kind in _ALERTS:
             severity, text = _ALERTS[event.kind]
-            detail = event.data.get("detail") or event.data.get("fault") or ""
+            said = event.data.get("detail") or event.data.get("fault") or _rollback_words(event)
+            detail = str(said).rstrip(".")
+            text = text.format(policy=self._policy_words(event))
             self._hub.alert(
                 event.kind.value,
                 f"{event.machine_id} {text}{f': {detail}' if detail else ''}.",
@@ -157,6 +174,24 @@ class EventIngest:
             for end_listener in self.on_throw_end:
                 end_listener(event.throw_id)
         self._throws.publish(event.throw_id)
+
+    def _policy_words(self, event: MachineEvent) -> str:
+        """Which policy an event is about, for example `2D policy m545-2d-v7 (9f8e7d6c5b4a)`."""
+        mode, sha256 = event.data.get("mode"), event.data.get("policy_sha256")
+        kind = f"{str(mode or '').upper()} policy".strip()
+        if not isinstance(sha256, str) or not sha256:
+            return f"its {kind}"
+        name = self._policy_name_of(sha256)
+        return (
+            f"{kind} {sha256[:12]}" if sha256.startswith(name) else f"{kind} {name} ({sha256[:12]})"
+        )
+
+
+def _rollback_words(event: MachineEvent) -> str:
+    """That a switch was a rollback at the machine itself; empty for other events."""
+    is_switch = event.kind is EventKind.POLICY_SWITCHED
+    is_local = event.data.get("deployment_count") is None and event.data.get("slot") is not None
+    return "rolled back at the machine" if is_switch and is_local else ""
 
 
 def _cleaned(event: MachineEvent) -> MachineEvent:

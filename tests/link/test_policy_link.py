@@ -101,11 +101,18 @@ def test_deploy_refuse_roll_back_and_power_cuts(place):
     wait_for(lambda: told(yard, "policy_switched")[-1]["policy_sha256"] == installed)
     assert told(yard, "policy_switched")[-1]["deployment_count"] is None
     yard.machine.stop()
+    server.want(version(folder, "unwanted-2d", 0.26), 3)
     assert main(roll_back) == 0
     known = len(yard.server.states)
     yard.machine.start()
     wait_for(lambda: len(yard.server.states) > known and aboard(yard) == second, 90.0)
-    assert len(told(yard, "policy_refused")) == 1
+    # What was asked for before that is refused; what is asked for after it is carried out.
+    refused = wait_for(lambda: told(yard, "policy_refused")[1:], 90.0)
+    assert [data["deployment_count"] for data in refused] == [3]
+    assert "rolled back at the machine" in refused[0]["detail"]
+    assert aboard(yard) == second
+    meant = server.want(folder / "unwanted-2d", 4)
+    wait_for(lambda: aboard(yard) == meant, 90.0)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import json
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from hashlib import sha256
@@ -52,6 +53,7 @@ class PolicyServer(ThreadingHTTPServer):
             "mode": card.mode.value,
             "deployment_count": deployment_count,
             "policy_sha256": card.policy_sha256,
+            "asked_s": time.monotonic(),
             "files": files,
         }
         self.wanted = [w for w in self.wanted if w["mode"] != row["mode"]] + [row]
@@ -64,10 +66,9 @@ class Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         if self.path.partition("?")[0].endswith("/policies/wanted"):
             self.server.asked.append(self.path.partition("?")[2])
-            self._answer(
-                200,
-                json.dumps({"policies": self.server.wanted, "trust": self.server.trust}).encode(),
-            )
+            now_s = time.monotonic()
+            wanted = [w | {"age_s": now_s - w["asked_s"]} for w in self.server.wanted]
+            self._answer(200, json.dumps({"policies": wanted, "trust": self.server.trust}).encode())
             return
         policy_sha256, name = self.path.rsplit("/", 2)[1:]
         content = (self.server.folders[policy_sha256] / name).read_bytes()

@@ -64,6 +64,14 @@ def test_what_was_loaded_waits_until_no_plan_is_armed():
     assert switch.next(ThrowState.DISARMED) is None
 
 
+def test_an_offer_that_a_rollback_has_ended_is_refused_without_a_look_at_its_files():
+    calls = []
+    switch = PolicySwitch(lambda *asked: calls.append(asked))
+    switch.take(OFFER.model_copy(update={"refusal": "it was rolled back"}))
+    found = given(switch)
+    assert (found.runner, found.refusal, calls) == (None, "it was rolled back", [])
+
+
 def test_a_newer_offer_replaces_the_one_that_is_being_loaded():
     go, asked = threading.Event(), []
 

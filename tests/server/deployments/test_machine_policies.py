@@ -17,7 +17,8 @@ def ingest(assembled):
     from server.throws.event_ingest import EventIngest
 
     parts = assembled.parts
-    found = EventIngest(parts.database, parts.throws, parts.hub, parts.metrics)
+    name_of = parts.policies.name_of
+    found = EventIngest(parts.database, parts.throws, parts.hub, parts.metrics, name_of)
     found.on_store.append(parts.machine_policies.record)
     return found
 

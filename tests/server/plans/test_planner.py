@@ -121,7 +121,11 @@ def test_another_policy_aboard_is_refused(machine, ada):
     wait_for(lambda: ada.get("/machines/m001").json()["state"]["policy_sha256"] == {"2d": "c" * 64})
     plan = create(ada)
     assert plan["refusals"][0]["reason"] == RejectReason.POLICY_MISMATCH
-    assert "cccccccccccc" in plan["refusals"][0]["detail"]
+    detail = plan["refusals"][0]["detail"]
+    assert "m001 has policy cccccccccccc for 2d on board" in detail
+    active = next(p for p in ada.get("/policies").json() if p["is_active"] and p["mode"] == "2d")
+    assert f"{active['policy_id']} ({active['policy_sha256'][:12]})" in detail
+    assert "page Policies" in detail
 
 
 def test_a_machine_is_previewed_with_the_version_that_it_has(running, machine, ada):

@@ -1,4 +1,6 @@
+import asyncio
 import itertools
+import json
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -51,7 +53,7 @@ def ingest(assembled):
     from server.throws.event_ingest import EventIngest
 
     s = assembled.parts
-    return EventIngest(s.database, s.throws, s.hub, s.metrics)
+    return EventIngest(s.database, s.throws, s.hub, s.metrics, s.policies.name_of)
 
 
 def read(assembled, throw_id="t1"):
@@ -71,6 +73,48 @@ def test_each_event_is_stored_once_however_often_it_comes(assembled, ingest):
     assert ingest.take(batch(*events[1:4])).sequence_count == 4
     assert ingest.take(batch(events[0], events[0])).sequence_count == 1
     assert count(assembled, Event) == 5
+
+
+def test_news_of_a_policy_name_version_hash_and_cause(assembled, ingest):
+    card = assembled.parts.policies.active("2d").card
+    sha256, known = card.policy_sha256, f"{card.policy_id} ({card.policy_sha256[:12]})"
+
+    async def told(kind, **data):
+        client = assembled.parts.hub.subscribe("s", None)
+        ingest.take(batch(event(next(BOOTS), kind, mode="2d", **data), boot="news"))
+        (frame,) = await client.wait(60.0)
+        assembled.parts.hub.unsubscribe(client)
+        return json.loads(frame.data)["text"]
+
+    switched, refused = EventKind.POLICY_SWITCHED, EventKind.POLICY_REFUSED
+    for kind, data, words in (
+        (
+            switched,
+            {"policy_sha256": sha256, "slot": sha256, "deployment_count": 1},
+            f"m001 throws with 2D policy {known}.",
+        ),
+        (
+            switched,
+            {"policy_sha256": sha256, "slot": sha256, "deployment_count": None},
+            f"m001 throws with 2D policy {known}: rolled back at the machine.",
+        ),
+        (
+            switched,
+            {"policy_sha256": "d" * 64, "slot": None, "deployment_count": None},
+            "m001 throws with 2D policy dddddddddddd.",
+        ),
+        (
+            refused,
+            {"policy_sha256": sha256, "detail": "it is cut off."},
+            f"m001 refuses 2D policy {known}: it is cut off.",
+        ),
+        (
+            refused,
+            {"policy_sha256": None, "is_removed": True, "detail": "not approved"},
+            "m001 refuses its 2D policy: not approved.",
+        ),
+    ):
+        assert asyncio.run(told(kind, **data)) == words
 
 
 def test_another_boot_is_another_series(assembled, ingest):

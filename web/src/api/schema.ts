@@ -6544,6 +6544,8 @@ export interface components {
          * @description The version that a machine is to have in one mode.
          */
         WantedPolicyView: {
+            /** Age S */
+            age_s: number;
             /** Deployment Count */
             deployment_count: number;
             /** Files */

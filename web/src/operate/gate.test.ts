@@ -50,6 +50,27 @@ describe("what stands between the operator and a throw", () => {
     expect(operateGate(facts(true, "disarmed", null))?.sentence).toMatch(/the throw/);
     expect(operateGate(facts(true, "disarmed", first))?.sentence).toMatch(/the spread/);
   });
+  it("names the version on board and the server's where they differ, and what to do", () => {
+    const one = facts(true, "disarmed", null);
+    const machine = one.machine as unknown as {
+      reach: object;
+      state: { policy_sha256: Record<string, string> };
+    };
+    machine.reach = {
+      modes: [{ mode: "2d", policy_id: "m545-2d-v7", policy_sha256: "a".repeat(64) }],
+    };
+    machine.state.policy_sha256 = { "2d": "b".repeat(64) };
+    expect(operateGate(one)).toEqual({
+      id: "wrong_policy",
+      sentence:
+        "m001 has 2D policy bbbbbbbbbbbb on board, which the server lacks; the server previews with m545-2d-v7 (aaaaaaaaaaaa). Upload the first or deploy the second.",
+      action: "open_policies",
+    });
+    machine.state.policy_sha256 = {};
+    expect(operateGate(one)?.sentence).toBe(
+      "m001 has no 2D policy on board. Deploy m545-2d-v7 (aaaaaaaaaaaa).",
+    );
+  });
   it("does not offer to load a machine that moves", () => {
     expect(operateGate(facts(false, "settling", inside))?.id).toBe("moving");
   });

@@ -148,15 +148,11 @@ const policy: Rule = ({ machine, mode }) => {
   }
   const onBoard = machine?.state?.policy_sha256?.[mode];
   if (machine?.state && onBoard !== active.policy_sha256) {
-    const has = onBoard
-      ? `has another ${label} policy on board`
-      : `has no ${label} policy on board`;
-    const sentence = `${machine.machine_id} ${has} than the server previews with.`;
-    return {
-      id: "wrong_policy",
-      sentence: onBoard ? sentence : `${machine.machine_id} ${has}.`,
-      action: "open_policies",
-    };
+    const here = `${active.policy_id} (${active.policy_sha256.slice(0, 12)})`;
+    const sentence = onBoard
+      ? `${machine.machine_id} has ${label} policy ${onBoard.slice(0, 12)} on board, which the server lacks; the server previews with ${here}. Upload the first or deploy the second.`
+      : `${machine.machine_id} has no ${label} policy on board. Deploy ${here}.`;
+    return { id: "wrong_policy", sentence, action: "open_policies" };
   }
   return null;
 };

@@ -1,11 +1,12 @@
 import { Button, TextInput } from "@mantine/core";
 import { useEffect, useRef, useState } from "react";
+import { useLive } from "../session/liveStore";
 import { useMay } from "../session/useSession";
 import { errorWords } from "../words/errors";
 import { Hash } from "../words/Hash";
 import { instantOf, localStamp, zonedStamp, zoneName } from "../words/time";
 import { ConfirmDialog } from "./ConfirmDialog";
-import { nameOf, outcomeWords, pendingOf } from "./life";
+import { nameOf, outcomeWords, pendingOf, pendingWords } from "./life";
 import classes from "./OnBoard.module.css";
 import {
   type Deployment,
@@ -57,6 +58,7 @@ type RowProps = { machineId: string; entry: Entry; pending: Deployment | null };
 function ModeRow({ machineId, entry, pending }: RowProps) {
   const [isOpen, setOpen] = useState(false);
   const mayDeploy = useMay("policy.deploy");
+  const lamp = useLive((live) => live.machines[machineId]?.lamp ?? null);
   const { rollBack } = usePolicyActions(machineId);
   const earlier = entry.version_before;
   const why = rollBackRefusal(mayDeploy, earlier !== null, pending !== null);
@@ -73,8 +75,7 @@ function ModeRow({ machineId, entry, pending }: RowProps) {
         <span className={classes.note}> since {zonedStamp(entry.since_utc)}</span>
         {pending && (
           <span className={classes.pending} role="status">
-            {pending.is_rollback ? "Goes back to" : "Switches to"} {nameOf(pending)} while no plan
-            is armed. {pending.detail}
+            {pendingWords(pending, lamp)}
           </span>
         )}
       </span>
@@ -114,7 +115,7 @@ function ModeRow({ machineId, entry, pending }: RowProps) {
 
 function rollBackRefusal(mayDeploy: boolean, hasEarlier: boolean, isPending: boolean) {
   if (!mayDeploy) return "Your role may look, not change.";
-  if (isPending) return "Waits for the machine.";
+  if (isPending) return "Waits for the machine. Deploy what is on board to call it off.";
   return hasEarlier ? null : "No earlier version.";
 }
 

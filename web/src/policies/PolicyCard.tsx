@@ -1,11 +1,13 @@
 import { Link } from "@tanstack/react-router";
 import type { Schema } from "../session/client";
+import { useLive } from "../session/liveStore";
 import { ValidationPanel } from "../validation/ValidationPanel";
 import { count, fixed, metres, shortHash } from "../words/format";
 import { Hash } from "../words/Hash";
 import { zonedStamp } from "../words/time";
 import { EvaluationTable } from "./EvaluationTable";
 import { LifeStepper } from "./LifeStepper";
+import { runningOn } from "./life";
 import { PolicyActions } from "./PolicyActions";
 import classes from "./PolicyCard.module.css";
 
@@ -17,6 +19,8 @@ type Props = { policy: Policy; isOnBoard: boolean; machineId: string | null };
 export function PolicyCard({ policy, isOnBoard, machineId }: Props) {
   const { card } = policy;
   const { training } = card;
+  // As text: the snapshot of a store has to be the same value while nothing changes.
+  const runsOn = useLive((live) => runningOn(live.machines, policy).join(", "));
   return (
     <article className={classes.card} aria-label={policy.policy_id}>
       <header className={classes.head}>
@@ -36,6 +40,8 @@ export function PolicyCard({ policy, isOnBoard, machineId }: Props) {
       {machineId !== null && <PolicyActions policy={policy} machineId={machineId} />}
       <ValidationPanel policy={policy} />
       <dl className={classes.facts}>
+        <dt>Runs on</dt>
+        <dd>{runsOn || "no machine"}</dd>
         <dt>Targets</dt>
         <dd>{targetWords(card)}</dd>
         <dt>Version</dt>

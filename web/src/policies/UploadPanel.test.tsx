@@ -77,6 +77,24 @@ describe("the upload of a version", () => {
     await screen.findByText(/v8 is uploaded\. No machine loads it before it is approved/);
   });
 
+  it("is cancelled while it is sent", async () => {
+    vi.spyOn(upload, "uploadPolicy").mockImplementation(
+      (_files, _reason, _onProgress, signal) =>
+        new Promise((_, reject) =>
+          signal.addEventListener("abort", () =>
+            reject(new ApiError(0, "cancelled", "Cancelled.")),
+          ),
+        ),
+    );
+    show(["policy.upload"]);
+    await chooseWhole();
+    fireEvent.click(send());
+    fireEvent.click(await screen.findByRole("button", { name: "Cancel the upload" }));
+    expect((await screen.findByRole("alert")).textContent).toBe("Cancelled.");
+    expect(screen.queryByRole("button", { name: "Cancel the upload" })).toBeNull();
+    expect(send().disabled).toBe(false);
+  });
+
   it("gives the server's sentence, and goes on from there", async () => {
     const refusal = new ApiError(400, "policy_refused", "v8 has no golden vectors.");
     vi.spyOn(upload, "uploadPolicy").mockRejectedValue(refusal);

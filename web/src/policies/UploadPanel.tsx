@@ -18,17 +18,21 @@ export function UploadPanel() {
 function Panel() {
   const client = useQueryClient();
   const chooser = useRef<HTMLInputElement>(null);
+  const running = useRef<AbortController | null>(null);
   const [files, setFiles] = useState<File[]>([]);
   const [reason, setReason] = useState("");
   const [isOver, setOver] = useState(false);
   const [sent, setSent] = useState(0);
   const upload = useMutation({
-    mutationFn: () => uploadPolicy(files, reason.trim(), setSent),
+    mutationFn: () => {
+      running.current = new AbortController();
+      return uploadPolicy(files, reason.trim(), setSent, running.current.signal);
+    },
     onSuccess: () => {
       setFiles([]);
       setReason("");
-      void client.invalidateQueries({ queryKey: ["policies"] });
     },
+    onSettled: () => void client.invalidateQueries({ queryKey: ["policies"] }),
   });
   const why = files.length > 0 ? filesRefusal(files) : null;
   const isReady = files.length > 0 && why === null && reason.trim().length >= MIN_REASON;
@@ -99,6 +103,11 @@ function Panel() {
           <progress value={sent} max={1} aria-label="Sent" />{" "}
           {sent < 1 ? `${percent(sent)} sent` : "Sent. The server checks it."}
         </p>
+      )}
+      {upload.isPending && sent < 1 && (
+        <Button variant="default" size="md" onClick={() => running.current?.abort()}>
+          Cancel the upload
+        </Button>
       )}
       {why && <p className={classes.refusal}>{why}</p>}
       {upload.isError && (

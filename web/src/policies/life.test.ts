@@ -1,5 +1,13 @@
 import { describe, expect, it } from "vitest";
-import { deployRefusal, lifeSteps, nameOf, outcomeWords, pendingOf } from "./life";
+import {
+  deployRefusal,
+  lifeSteps,
+  nameOf,
+  outcomeWords,
+  pendingOf,
+  pendingWords,
+  runningOn,
+} from "./life";
 import type { Deployment, OnBoard } from "./usePolicyLife";
 
 const A = "a".repeat(64);
@@ -53,6 +61,27 @@ describe("a version's life on a machine", () => {
 
   it("lets a person go back to what is on board while another version is on its way", () => {
     expect(deployRefusal(B, "2d", { ...facts, deployments: [deployment({})] })).toBeNull();
+  });
+
+  it("says what a machine waits for before it switches", () => {
+    const detail = "It fetches the version.";
+    expect(pendingWords(deployment({}), "armed")).toBe(
+      "Switches to m545-2d-v6 while no plan is armed.",
+    );
+    expect(pendingWords(deployment({ is_rollback: true, detail }), "lost")).toBe(
+      "Goes back to m545-2d-v6 once m001 is connected again and no plan is armed. It fetches the version.",
+    );
+  });
+
+  it("names the machines that throw with a version", () => {
+    const machine = (machine_id: string, sha256: string | null) => ({
+      machine_id,
+      state: sha256 === null ? null : { policy_sha256: { "2d": sha256 } },
+    });
+    const all = [machine("m003", A), machine("m002", B), machine("m004", null), machine("m001", A)];
+    const machines = Object.fromEntries(all.map((one) => [one.machine_id, one]));
+    expect(runningOn(machines, { mode: "2d", policy_sha256: A })).toEqual(["m001", "m003"]);
+    expect(runningOn(machines, { mode: "3d", policy_sha256: A })).toEqual([]);
   });
 
   it("finds what a machine has yet to do in a mode", () => {

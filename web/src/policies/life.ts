@@ -35,9 +35,31 @@ type Named = { policy_id: string | null; policy_sha256: string | null };
 export const nameOf = (one: Named) =>
   one.policy_id ?? one.policy_sha256?.slice(0, 12) ?? "no usable version";
 
+type Running = { machine_id: string; state: { policy_sha256?: Record<string, string> } | null };
+
+/** Machines whose newest state says that they throw with a version, by id. */
+export const runningOn = (
+  machines: Readonly<Record<string, Running>>,
+  version: { mode: Mode; policy_sha256: string },
+) =>
+  Object.values(machines)
+    .filter((one) => one.state?.policy_sha256?.[version.mode] === version.policy_sha256)
+    .map((one) => one.machine_id)
+    .sort();
+
 /** The deployment that a machine has yet to carry out in a mode. */
 export const pendingOf = (deployments: readonly Deployment[], mode: Mode) =>
   deployments.find((one) => one.mode === mode && one.outcome === "pending") ?? null;
+
+/** What a machine is to do, and what it waits for. */
+export function pendingWords(one: Deployment, lamp: string | null): string {
+  const way = one.is_rollback ? "Goes back to" : "Switches to";
+  const isAway = lamp === "lost" || lamp === "never_seen";
+  const when = isAway
+    ? `once ${one.machine_id} is connected again and no plan is armed`
+    : "while no plan is armed";
+  return [`${way} ${nameOf(one)} ${when}.`, one.detail].join(" ").trim();
+}
 
 /** "Switched", "Refused: ..." */
 export function outcomeWords(one: Deployment): string {

@@ -5,6 +5,8 @@ import { filesRefusal, uploadPolicy } from "./upload";
 const file = (name: string) => new File(["x"], name);
 const WHOLE = ["policy.onnx", "card.json", "golden_vectors.json"].map(file);
 
+const ENDLESS = new AbortController().signal;
+
 /** A request that the test answers. */
 class FakeRequest {
   static last: FakeRequest;
@@ -15,6 +17,7 @@ class FakeRequest {
   body: FormData | null = null;
   onload: () => void = () => {};
   onerror: () => void = () => {};
+  onabort: () => void = () => {};
   constructor() {
     FakeRequest.last = this;
   }
@@ -26,6 +29,9 @@ class FakeRequest {
   }
   send(body: FormData) {
     this.body = body;
+  }
+  abort() {
+    this.onabort();
   }
   answer(status: number, response: unknown) {
     Object.assign(this, { status, response });
@@ -51,7 +57,7 @@ describe("an upload", () => {
   it("sends files and reason, and tells how far it is", async () => {
     vi.stubGlobal("XMLHttpRequest", FakeRequest);
     const seen: number[] = [];
-    const done = uploadPolicy(WHOLE, "retrained", (ratio) => seen.push(ratio));
+    const done = uploadPolicy(WHOLE, "retrained", (ratio) => seen.push(ratio), ENDLESS);
     const request = FakeRequest.last;
     expect(request.headers["X-Requested-With"]).toBe("downrange");
     expect(request.body?.get("reason")).toBe("retrained");
@@ -66,12 +72,20 @@ describe("an upload", () => {
 
   it("fails with the server's sentence, or that there is no answer", async () => {
     vi.stubGlobal("XMLHttpRequest", FakeRequest);
-    const refused = uploadPolicy(WHOLE, "retrained", () => {});
+    const refused = uploadPolicy(WHOLE, "retrained", () => {}, ENDLESS);
     const message = "Another version is called v7 already.";
     FakeRequest.last.answer(409, { error: { code: "policy_name", message } });
     await expect(refused).rejects.toThrow(message);
-    const lost = uploadPolicy(WHOLE, "retrained", () => {});
+    const lost = uploadPolicy(WHOLE, "retrained", () => {}, ENDLESS);
     FakeRequest.last.onerror();
     await expect(lost).rejects.toBeInstanceOf(ApiError);
+  });
+
+  it("ends where a person cancels it", async () => {
+    vi.stubGlobal("XMLHttpRequest", FakeRequest);
+    const running = new AbortController();
+    const done = uploadPolicy(WHOLE, "retrained", () => {}, running.signal);
+    running.abort();
+    await expect(done).rejects.toThrow("Cancelled before all of it was sent.");
   });
 });

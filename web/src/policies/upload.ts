@@ -21,11 +21,13 @@ export function filesRefusal(files: readonly File[]): string | null {
  * Send a version.
  *
  * @param onProgress called with the part that has been sent, 0 to 1; fetch cannot tell it.
+ * @param signal ends it; the server takes a version in only when all of it has come.
  */
 export function uploadPolicy(
   files: readonly File[],
   reason: string,
   onProgress: (ratio: number) => void,
+  signal: AbortSignal,
 ): Promise<Schema["PolicyView"]> {
   const body = new FormData();
   body.append("reason", reason);
@@ -42,6 +44,9 @@ export function uploadPolicy(
         ? resolve(request.response)
         : reject(toApiError(request.status, request.response));
     request.onerror = () => reject(new ApiError(0, "offline", "The server does not answer."));
+    request.onabort = () =>
+      reject(new ApiError(0, "cancelled", "Cancelled before all of it was sent."));
+    signal.addEventListener("abort", () => request.abort());
     request.send(body);
   });
 }
