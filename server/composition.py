@@ -236,7 +236,10 @@ def open_parts(settings: Settings, scene: ViewerScene) -> Generator[Parts]:
                 "running? Set DOWNRANGE_LINK_LISTEN to a free endpoint"
             ) from error
         renewal = RouterRenewal(
-            parts.link, parts.registry, lambda: link_config(settings, parts.registry)
+            parts.link,
+            parts.registry,
+            lambda: link_config(settings, parts.registry),
+            lambda: router_passwords(settings.data_dir),
         )
         renewal.start()
         stack.callback(renewal.close)

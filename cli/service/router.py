@@ -26,9 +26,10 @@ def add(
     output: Annotated[Path, tyro.conf.arg(name="output", aliases=["-o"])],
     data: Path | None = None,
 ) -> int:
-    """Make a router's account and its file, on the server's computer; restart the server after the first.
+    """Make a router's account and its file, on the server's computer.
 
-    Again with the same name after machines were added or retired: the account stays.
+    A running server takes the account within seconds, when no machine is armed or throws. Again with the
+    same name after machines were added or retired: the account stays.
 
     Args:
         name: of the router, a-z 0-9 _ -.

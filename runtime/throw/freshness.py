@@ -7,6 +7,7 @@ STOP, abort, disarm and lease have no limit: they only take permission away. The
 COMMAND_STALE.
 """
 
+import math
 from typing import Final
 
 from machine.messages import (
@@ -60,8 +61,9 @@ def _why_old(seen_ns: int | None, limit_ns: int, now_ns: int, stalled_ns: int) -
             "Look at the machine, then send it again."
         )
     if age_ns > limit_ns:
+        over_s = math.ceil((age_ns - limit_ns) * 1e-7) / 100.0  # Never "0.00 s".
         return (
-            f"It was up to {age_ns * 1e-9:.1f} s on its way, {limit_ns * 1e-9:.1f} s are allowed. "
-            "Check the link, then send it again."
+            f"It was {over_s:.2f} s longer on its way than the {limit_ns * 1e-9:.1f} s "
+            "allowed. Check the link, then send it again."
         )
     return ""

@@ -204,5 +204,5 @@ class _Known:
 @each("state", list(ThrowState))
 def test_the_router_stays_open_while_a_machine_is_armed_or_throws(state):
     registry = type("Registry", (), {"all": lambda _: [_Known(state), _Known(None)]})()
-    is_quiet = RouterRenewal(None, registry, None).is_quiet()
+    is_quiet = RouterRenewal(None, registry, None, dict).is_quiet()
     assert is_quiet == (state.value in ("disarmed", "stopped", "fault"))

@@ -5,7 +5,7 @@ import { linkQuality } from "../machine/phase";
 import { useMachineId } from "../machine/useMachine";
 import type { Machine } from "../session/live";
 import { useNow } from "../session/useNow";
-import { age, crossrangeWords, downrangeWords } from "../words/format";
+import { age, crossrangeWords, downrangeWords, unbroken } from "../words/format";
 import { Shortened } from "../words/Shortened";
 import { ageSeconds, zonedStamp } from "../words/time";
 import classes from "./Fleet.module.css";
@@ -98,7 +98,7 @@ export function LinkAge({ machine }: { machine: Machine }) {
   const seen_s = ageSeconds(seen, useNow());
   if (machine.link.is_connected) return <span>{linkQuality(machine).words}</span>;
   if (seen_s === null) return <span>never seen</span>;
-  const words = `last seen ${age(seen_s)} ago`;
+  const words = unbroken(`last seen ${age(seen_s)} ago`);
   return <Shortened short={words} whole={`${words}, ${zonedStamp(seen)}`} name="Link" />;
 }
 
@@ -138,7 +138,7 @@ function LastThrow({ record }: { record: FleetRecord | null }) {
       : `${downrangeWords(last.measured_downrange_error_m)}, ${crossrangeWords(last.measured_crossrange_error_m)}`;
   return (
     <Link to="/throws/$throwId" params={{ throwId: last.throw_id }}>
-      {age(ageSeconds(last.created_utc, now))} ago
+      {unbroken(`${age(ageSeconds(last.created_utc, now))} ago`)}
       <span className={classes.sub}>{miss}</span>
     </Link>
   );

@@ -38,7 +38,7 @@ export function Frame() {
         Skip to the page
       </a>
       <TopBar />
-      <div className={classes.banners}>
+      <div className={classes.banners} data-below={href.startsWith("/alerts") || undefined}>
         <OfflineBanner />
         <Alerts />
       </div>

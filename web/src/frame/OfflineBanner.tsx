@@ -11,7 +11,9 @@ export function OfflineBanner() {
   if (connection.refusal !== null) {
     return (
       <div className={classes.banner} role="alert" data-testid="offline">
-        <strong>Not live.</strong> {connection.refusal}
+        <span>
+          <strong>Not live.</strong> {connection.refusal}
+        </span>
       </div>
     );
   }
@@ -24,8 +26,10 @@ export function OfflineBanner() {
   }
   return (
     <div className={classes.banner} role="alert" data-testid="offline">
-      <strong>Not live: last data {age(stale_s)} ago.</strong> The console reconnects by itself. A
-      throw before its commit point is aborted by the machine.
+      <span>
+        <strong>Not live: last data {age(stale_s)} ago.</strong> The console reconnects by itself. A
+        throw before its commit point is aborted by the machine.
+      </span>
     </div>
   );
 }

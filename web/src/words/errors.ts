@@ -11,7 +11,6 @@ const NEXT_STEP: Record<string, string> = {
   no_payload: "Load first.",
   not_disarmed: "Wait until the machine has settled.",
   nonce_expired: "Hold again.",
-  command_stale: "Hold again.",
   nonce_unknown: "Hold again.",
   plan_mismatch: "Preview again, then hold.",
   aim_mismatch: "Preview again, then hold.",

@@ -77,6 +77,7 @@ describe("sentences", () => {
       "misses by 0.73\u00a0m (94\u00a0% sure): 75.1\u00a0ms on 12 throws at 3\u00a0m/s",
     );
     expect(unbroken("12 more")).toBe("12 more");
+    expect(unbroken("last seen 2 h ago, 5 d")).toBe("last seen 2\u00a0h ago, 5\u00a0d");
     expect(unbroken("at most 1.20 times")).toBe("at most 1.20\u00a0times");
   });
 });

@@ -102,7 +102,7 @@ export const shortHash = (sha256: string | null | undefined) => sha256?.slice(0,
 
 /** A sentence whose numbers keep their units on the same line. */
 export const unbroken = (text: string) =>
-  text.replace(/(?<=\d) (?=(?:%|m|mm|ms|s|m\/s|rad|kg|Hz|times)(?![\w/]))/g, "\u00a0");
+  text.replace(/(?<=\d) (?=(?:%|m|mm|ms|s|min|h|d|m\/s|rad|kg|Hz|times)(?![\w/]))/g, "\u00a0");
 
 /** Count with its noun: "1 throw", "12 throws". */
 export const count = (value: number, noun: string) =>
