@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from machine.conventions import Array
 from machine.errors import PolicyError
-from machine.policy_card import GOLDEN_FILE
+from machine.policy_card import GOLDEN_FILE, content_problems
 
 VECTOR_COUNT: Final = 16
 TOLERANCE: Final = 1e-4
@@ -126,7 +126,8 @@ def read_golden_vectors(content: bytes, what: str) -> GoldenVectors:
     try:
         return GoldenVectors.model_validate_json(content)
     except ValueError as error:
-        raise PolicyError(f"{what}: {GOLDEN_FILE} cannot be used: {error}") from error
+        cause = content_problems(error)
+        raise PolicyError(f"{what}: {GOLDEN_FILE} cannot be used: {cause}") from error
 
 
 def _rows(values: Array) -> tuple[tuple[float, ...], ...]:

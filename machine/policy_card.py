@@ -150,15 +150,19 @@ def policy_of(folder: Path, policy: bytes, text: bytes, golden: bytes | None) ->
         golden: content of golden_vectors.json; None without.
 
     Raises:
-        PolicyError: the card does not fit the schema, or its hash is not that of the ONNX file.
+        PolicyError: a file is empty, the card does not fit the schema, or its hash is not that of the ONNX
+            file.
     """
     card_path, policy_path = folder / CARD_FILE, folder / POLICY_FILE
+    for name, content in ((POLICY_FILE, policy), (CARD_FILE, text), (GOLDEN_FILE, golden)):
+        if content is not None and not content:
+            raise PolicyError(f"{folder / name} is empty; copy the policy again")
     try:
         # Also numbers in fields of any content must be finite: no database holds others in JSON.
         json.loads(text, parse_constant=_finite, parse_float=_finite)
         card = PolicyCard.model_validate_json(text)
     except (ValueError, RecursionError) as error:
-        raise PolicyError(f"{card_path} is not a policy card: {_card_problems(error)}") from error
+        raise PolicyError(f"{card_path} is not a policy card: {content_problems(error)}") from error
     found = hashlib.sha256(policy).hexdigest()
     if found != card.policy_sha256:
         raise PolicyError(
@@ -175,8 +179,11 @@ def _finite(text: str) -> float:
     return value
 
 
-def _card_problems(error: Exception) -> str:
-    """What is wrong, a phrase a field; the library's own text spans lines and links to its manual."""
+def content_problems(error: Exception) -> str:
+    """What is wrong with a file's content, a phrase a field.
+
+    The library's own text spans lines and links to its manual.
+    """
     if not isinstance(error, ValidationError):
         return str(error)
     problems = [

@@ -1,6 +1,7 @@
 """Every error of the HTTP interface in one shape: {"error": {code, message, detail}}."""
 
 import logging
+from typing import Any
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
@@ -9,6 +10,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse, Response
 
+from machine.conventions import FILLED_LINE_PATTERN, LINE_PATTERN
 from machine.errors import DownrangeError
 from server.errors import ApiError, TooManyRequestsError
 
@@ -18,6 +20,10 @@ _HTTP_CODES = {
     404: ("not_found", "There is nothing at this address."),
     405: ("wrong_method", "This address does not take this method."),
     413: ("too_large", "The body is too large."),
+}
+_PATTERN_WORDS = {
+    FILLED_LINE_PATTERN: "it has to be one line with something to read",
+    LINE_PATTERN: "it has to be one line",
 }
 
 
@@ -55,7 +61,7 @@ async def _invalid(_request: Request, error: Exception) -> Response:
     problems: list[dict[str, JsonValue]] = [
         {
             "field": ".".join(str(part) for part in item["loc"]),
-            "problem": item["msg"].removeprefix("Value error, "),
+            "problem": _problem(item),
         }
         for item in error.errors()
     ]
@@ -66,6 +72,12 @@ async def _invalid(_request: Request, error: Exception) -> Response:
         f"{first['field']}: {first['problem']}.",
         {"problems": list[JsonValue](problems[:20])},
     )
+
+
+def _problem(item: dict[str, Any]) -> str:
+    """What is wrong with a field, in words also where a pattern says it."""
+    pattern = item.get("ctx", {}).get("pattern")
+    return _PATTERN_WORDS.get(pattern, str(item["msg"]).removeprefix("Value error, "))
 
 
 async def _http(_request: Request, error: Exception) -> Response:

@@ -120,7 +120,8 @@ class PolicyUploads:
             )
             check_in_child(files)
         except PolicyError as error:
-            raise ApiError("policy_refused", f"{str(error).rstrip('.')}.") from error
+            sentence = str(error).removeprefix("upload/").removeprefix("upload: ").rstrip(".")
+            raise ApiError("policy_refused", f"{sentence}.") from error
         return files
 
     def _require_space(self, contents: Mapping[str, bytes]) -> None:

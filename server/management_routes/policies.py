@@ -25,7 +25,7 @@ from server.dependencies import (
     UploadsDep,
     Viewer,
 )
-from server.deployments.policy_uploads import LIMITS_BYTES
+from server.deployments.policy_uploads import LIMITS_BYTES, NAMES
 from server.deployments.site_keys import TrustReport
 from server.errors import ApiError
 from server.plans.policy_life import history
@@ -86,6 +86,8 @@ async def upload_policy(request: Request, session: Uploader, uploads: UploadsDep
                 if isinstance(part, UploadFile):
                     contents[part.filename or ""] = await part.read()
     except StarletteHTTPException as error:
+        if "Too many" in error.detail:
+            raise ApiError("bad_upload", f"A version is three files: {NAMES}.") from error
         raise ApiError(
             "bad_upload", f"The upload cannot be read: {error.detail} Send it again."
         ) from error

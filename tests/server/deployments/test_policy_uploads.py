@@ -96,6 +96,10 @@ def test_an_upload_is_a_version_with_its_uploader_and_may_be_deployed(running, e
     assert eve.post("/machines/m001/policies/2d/deploy", json=body).status_code == 201
     again = refusal(eve, contents(version), 409)
     assert again == f"This network is here already as {version.name} (approved)."
+    blank = eve.post("/machines/m001/policies/2d/deploy", json=body | {"reason": "    "})
+    assert blank.json()["error"]["message"].endswith(
+        "it has to be one line with something to read."
+    )
     with running.client("root") as root:
         actions = [row["action"] for row in root.get("/audit").json()["rows"]]
     assert "policy.upload" in actions
@@ -226,6 +230,13 @@ REFUSED = {
         lambda f: contents(f) | {POLICY_FILE: (f / POLICY_FILE).read_bytes()[:-50]},
         "the file was changed or cut off",
     ),
+    "empty network": (lambda f: contents(f) | {POLICY_FILE: b""}, "policy.onnx is empty"),
+    "empty card": (lambda f: contents(f) | {CARD_FILE: b""}, "card.json is empty"),
+    "empty vectors": (lambda f: contents(f) | {GOLDEN_FILE: b""}, "golden_vectors.json is empty"),
+    "vectors of other content": (
+        lambda f: contents(f) | {GOLDEN_FILE: b"[]"},
+        "golden_vectors.json cannot be used: the file: Input should be",
+    ),
     "no network": (
         lambda f: (
             (f / POLICY_FILE).write_bytes(b"no network"),
@@ -283,7 +294,11 @@ def test_who_may_not_upload_and_what_is_too_large_is_turned_away_unread(running,
     large = contents(version) | {POLICY_FILE: b"0" * (sum(LIMITS_BYTES.values()) + 2**17)}
     assert send(eve, large).status_code == 413
     four = [("files", (f"{n}.json", b"{}")) for n in range(4)]
-    assert eve.post("/policies", files=four, data=WHY).status_code == 400
+    refused = eve.post("/policies", files=four, data=WHY)
+    assert (refused.status_code, refused.json()["error"]["message"]) == (
+        400,
+        "A version is three files: policy.onnx, card.json and golden_vectors.json.",
+    )
     junk = {"Content-Type": "multipart/form-data; boundary=x"}
     assert eve.post("/policies", content=b"--x\r\njunk", headers=junk).status_code == 400
 
