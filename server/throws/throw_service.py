@@ -191,6 +191,6 @@ class ThrowService:
         if armed is None or not is_usable:
             raise from_reason(
                 RejectReason.NOT_ARMED,
-                f"{machine_id} is not armed for this plan (any more). Arm it, then fire in time.",
+                f"{machine_id} is no longer armed for this plan: let go, then press and hold again.",
             )
         return armed

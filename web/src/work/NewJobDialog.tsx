@@ -78,7 +78,6 @@ export function NewJobDialog({ machine, objects, onStarted, onClose }: Props) {
     />
   );
   const isTyped = choice.item === null || choice.kind === "clear";
-  const foot = choice.kind === "clear" ? "the heap" : choice.kind === "pile" ? "its foot" : "it";
   return (
     <Modal opened onClose={onClose} title={`New job for ${machine.machine_id}`} size="lg" centered>
       <form ref={fields} onSubmit={submit} className={classes.dialog}>
@@ -102,10 +101,14 @@ export function NewJobDialog({ machine, objects, onStarted, onClose }: Props) {
             number("Level to", "top_m", " m", { min: -1, max: 1, step: 0.1 })}
           {isTyped && (
             <>
-              {number(`Range of ${foot}`, "range_m", " m", { min: 0.5, max: 55, step: 0.5 })}
+              {number(choice.kind === "clear" ? "Heap's range" : "Range", "range_m", " m", {
+                min: 0.5,
+                max: 55,
+                step: 0.5,
+              })}
               {number("Azimuth, left +", "azimuth_deg", "°", { min: -180, max: 180, step: 5 })}
-              {number(`Length of ${foot}`, "length_m", " m", { min: 0.3, max: 30, step: 0.5 })}
-              {number(`Width of ${foot}`, "width_m", " m", { min: 0.3, max: 30, step: 0.5 })}
+              {number("Length, outward", "length_m", " m", { min: 0.3, max: 30, step: 0.5 })}
+              {number("Width, across", "width_m", " m", { min: 0.3, max: 30, step: 0.5 })}
             </>
           )}
           {choice.kind === "pile" &&

@@ -24,7 +24,7 @@ import { tonePicture } from "./tone";
 const WALL_M = 0.12;
 /** Landings that are numbered; older ones are dots. */
 const NUMBERED_COUNT = 6;
-const EDGE = { left: 34, right: 10, top: 8, bottom: 24 };
+const EDGE = { left: 34, right: 16, top: 8, bottom: 24 };
 
 type Props = {
   job: Job;
