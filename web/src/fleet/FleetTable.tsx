@@ -139,7 +139,7 @@ function LastThrow({ record }: { record: FleetRecord | null }) {
   return (
     <Link to="/throws/$throwId" params={{ throwId: last.throw_id }}>
       {unbroken(`${age(ageSeconds(last.created_utc, now))} ago`)}
-      <span className={classes.sub}>{miss}</span>
+      <span className={classes.sub}>{unbroken(miss)}</span>
     </Link>
   );
 }
