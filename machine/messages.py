@@ -461,6 +461,8 @@ class ThrowEnd(_FromMachine):
 
     outcome: Literal["landed", "aborted", "stopped", "fault", "interrupted"]
     detail: str = ""
+    is_policys_own: bool | None = None
+    """Of an abort: whether what the policy did is its reason; None from older software."""
     release_speed_m_per_s: float | None = None
     release_position_m: tuple[float, float, float] | None = None
     throw_duration_s: float | None = None

@@ -69,7 +69,7 @@ async def _invalid(_request: Request, error: Exception) -> Response:
     return error_response(
         422,
         "invalid",
-        f"{first['field']}: {first['problem']}.",
+        f"{str(first['field']).removeprefix('body.')}: {first['problem']}.",
         {"problems": list[JsonValue](problems[:20])},
     )
 

@@ -22,6 +22,10 @@ logger = logging.getLogger(__name__)
 WEBSOCKET_MAX_BYTES = 16 * 1024
 """Of a message from a browser; the largest, of the 3D view's camera, may have 4 KiB."""
 SHUTDOWN_S = 3
+ACCEPT_COUNT = 16
+"""Connections that the event loop accepts in one turn: a flood of new ones shares it with requests."""
+QUEUE_COUNT = 2048
+"""Connections that the system keeps waiting to be accepted."""
 
 
 class Server(uvicorn.Server):
@@ -37,6 +41,9 @@ class Server(uvicorn.Server):
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Start, then call `on_ready`."""
         await super().startup(sockets)
+        for listener in sockets or ():
+            # asyncio takes one number for both; the system's queue is to be longer than a turn.
+            listener.listen(QUEUE_COUNT)
         if self.started and self._on_ready is not None:
             self._on_ready()
 
@@ -86,6 +93,7 @@ def make_server(
         ws_max_size=WEBSOCKET_MAX_BYTES,
         ws_per_message_deflate=False,
         timeout_graceful_shutdown=SHUTDOWN_S,
+        backlog=ACCEPT_COUNT,
         server_header=False,
         lifespan="on",
     )

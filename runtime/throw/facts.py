@@ -33,6 +33,7 @@ def with_control(
         load_gone=bool(outputs.load_gone[index]),
         settled=bool(outputs.settled[index]),
         abort_reason=abort_reason(int(outputs.violation_count[index]), swing_limit_rad),
+        abort_is_policys_own=is_policys_own(int(outputs.violation_count[index])),
         fault_reason=fault_reason(int(row["safety_code_count"])),
     )
 
@@ -53,6 +54,16 @@ def abort_reason(violation_count: int, swing_limit_rad: float) -> str:
     if Violation.RELEASE in found:
         return "the release was refused: the load would have come down outside the plan's region"
     return ""
+
+
+def is_policys_own(violation_count: int) -> bool:
+    """Whether what the policy did, and not the IMU, is the reason of `abort_reason`."""
+    return bool(Violation(violation_count) & _POLICYS_OWN) and not violation_count & Violation.IMU
+
+
+_POLICYS_OWN = (
+    Violation.SWING | Violation.LATE | Violation.POLICY | Violation.ZONE | Violation.RELEASE
+)
 
 
 def fault_reason(safety_code_count: int) -> str:

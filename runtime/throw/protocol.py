@@ -73,6 +73,8 @@ class Facts:
     settled: bool = False
     abort_reason: str = ""
     """Why a throw may not go on, for people; empty = it may."""
+    abort_is_policys_own: bool = False
+    """Whether what the policy did is that reason."""
     fault_reason: str = ""
     """Why the machine may not move at all; empty = it may."""
 
@@ -115,6 +117,8 @@ class ThrowMachine:
     heartbeat_sequence_count: int = -1
     end_reason: str = ""
     """Why a running throw was aborted; empty = it was not."""
+    end_is_policys_own: bool = False
+    """Whether what the policy did is that reason."""
     end_fault: str = ""
     """Fault to latch when the machine has come to rest."""
     latched_reason: str = ""
@@ -161,6 +165,7 @@ class ThrowMachine:
             heartbeat_ns=0,
             heartbeat_sequence_count=-1,
             end_reason="",
+            end_is_policys_own=False,
             end_fault="",
             released_ns=0,
             started_ns=0,

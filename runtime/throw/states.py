@@ -142,38 +142,46 @@ def _running(
     ):
         event = ThrowEvent(EventKind.RELEASE_COMMANDED, machine.throw_id, _plan_id(machine))
         return machine.enter(ThrowState.COMMITTED, now_ns, released_ns=now_ns), (event,)
-    reason = _why_abort(machine, facts, now_ns)
+    reason, is_policys_own = _why_abort(machine, facts, now_ns)
     if reason:
-        return abort(machine, reason, now_ns)
+        return abort(machine, reason, now_ns, is_policys_own=is_policys_own)
     if machine.state is ThrowState.ALIGNING and facts.motion is Motion.ALIGN and facts.aligned:
         event = ThrowEvent(EventKind.THROW_STARTED, machine.throw_id, _plan_id(machine))
         return machine.enter(ThrowState.THROWING, now_ns, started_ns=now_ns), (event,)
     return machine, ()
 
 
-def _why_abort(machine: ThrowMachine, facts: Facts, now_ns: int) -> str:
-    """Why a throw before its commit point may not go on; empty = it may."""
+def _why_abort(machine: ThrowMachine, facts: Facts, now_ns: int) -> tuple[str, bool]:
+    """Why a throw before its commit point may not go on (empty = it may), and whether the policy is why."""
     aligning = machine.state is ThrowState.ALIGNING
     if not facts.local_enable:
-        return "the enable switch at the machine is off"
+        return "the enable switch at the machine is off", False
     if facts.abort_reason:
-        return facts.abort_reason
+        return facts.abort_reason, facts.abort_is_policys_own
     if not facts.payload_held:
-        return "the load left the gripper before the release"
+        return "the load left the gripper before the release", False
+    silence = _silence(machine, now_ns)
+    if silence:
+        return silence, False
+    if aligning and _past(machine.since_ns, ALIGN_TIMEOUT_S, now_ns):
+        return f"not aligned and calm within {ALIGN_TIMEOUT_S:.0f} s", False
+    if not aligning and _past(machine.since_ns, RELEASE_TIMEOUT_S, now_ns):
+        return f"the policy did not release within {RELEASE_TIMEOUT_S:.0f} s", True
+    return "", False
+
+
+def _silence(machine: ThrowMachine, now_ns: int) -> str:
+    """Which heartbeat is missing; empty = none."""
     if machine.heartbeat_ns == 0:
         late = _past(machine.since_ns, FIRST_HEARTBEAT_S, now_ns)
         return f"no heartbeat within {FIRST_HEARTBEAT_S:.1f} s of the fire" if late else ""
-    if _past(machine.heartbeat_ns, HEARTBEAT_SILENCE_S, now_ns):
-        silent_s = (now_ns - machine.heartbeat_ns) * 1e-9
-        return (
-            f"no heartbeat for {silent_s:.2f} s, {HEARTBEAT_SILENCE_S:.2f} s are allowed; "
-            "hold the button until the load is gone"
-        )
-    if aligning and _past(machine.since_ns, ALIGN_TIMEOUT_S, now_ns):
-        return f"not aligned and calm within {ALIGN_TIMEOUT_S:.0f} s"
-    if not aligning and _past(machine.since_ns, RELEASE_TIMEOUT_S, now_ns):
-        return f"the policy did not release within {RELEASE_TIMEOUT_S:.0f} s"
-    return ""
+    if not _past(machine.heartbeat_ns, HEARTBEAT_SILENCE_S, now_ns):
+        return ""
+    silent_s = (now_ns - machine.heartbeat_ns) * 1e-9
+    return (
+        f"no heartbeat for {silent_s:.2f} s, {HEARTBEAT_SILENCE_S:.2f} s are allowed; "
+        "hold the button until the load is gone"
+    )
 
 
 def _committed(

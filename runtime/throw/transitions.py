@@ -26,11 +26,14 @@ def disarm(
 
 
 def abort(
-    machine: ThrowMachine, reason: str, now_ns: int
+    machine: ThrowMachine, reason: str, now_ns: int, *, is_policys_own: bool = False
 ) -> tuple[ThrowMachine, tuple[ThrowEvent, ...]]:
     """Bring a throw before its commit point to hold; it ends when the machine stands."""
     event = _event(machine, EventKind.ABORTED, {"reason": reason})
-    return machine.enter(ThrowState.SETTLING, now_ns, end_reason=reason), (event,)
+    after = machine.enter(
+        ThrowState.SETTLING, now_ns, end_reason=reason, end_is_policys_own=is_policys_own
+    )
+    return after, (event,)
 
 
 def latch(
@@ -85,7 +88,11 @@ def end_throw(machine: ThrowMachine, now_ns: int) -> tuple[ThrowMachine, tuple[T
     if machine.end_fault:
         return latch(machine, ThrowState.FAULT, machine.end_fault, now_ns)
     if machine.end_reason:
-        end = ThrowEnd(outcome="aborted", detail=machine.end_reason)
+        end = ThrowEnd(
+            outcome="aborted",
+            detail=machine.end_reason,
+            is_policys_own=machine.end_is_policys_own,
+        )
     else:
         end = ThrowEnd(outcome="landed")
     event = _event(machine, EventKind.THROW_ENDED, _end_data(machine, end))

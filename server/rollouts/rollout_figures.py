@@ -5,7 +5,7 @@ from datetime import datetime
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from sqlalchemy import select
+from sqlalchemy import ColumnElement, select
 from sqlalchemy.orm import Session as DatabaseSession
 
 from evaluation.measures import deviation_estimate, mean_estimate
@@ -19,8 +19,6 @@ from server.store.throw_filters import threw_a_ball
 
 REFERENCE_LIMIT: Final = 300
 """Newest throws with the version before: its spread is then known to 4 %."""
-FAILED: Final = (Outcome.ABORTED.value, Outcome.FAULT.value)
-"""Ends that count against a version; a person's STOP does not."""
 
 
 class MachineThrows(NamedTuple):
@@ -74,7 +72,7 @@ def machine_throws(
             *common,
             Throw.policy_sha256 == policy_sha256,
             Throw.created_utc >= since_utc,
-            landed | Throw.outcome.in_(FAILED),
+            landed | _failed(),
         )
         .order_by(Throw.throw_id)
         .limit(throws_count)
@@ -90,8 +88,14 @@ def machine_throws(
 
     return MachineThrows(
         [throw(row) for row in reversed(before)],
-        [None if row[5] in FAILED else throw(row) for row in since],
+        [throw(row) if row[5] == Outcome.LANDED.value else None for row in since],
     )
+
+
+def _failed() -> ColumnElement[bool]:
+    """Ends that count against a version: faults, and aborts but those that people, link or sensors caused."""
+    aborted = (Throw.outcome == Outcome.ABORTED.value) & Throw.is_policys_own.is_not(False)
+    return aborted | (Throw.outcome == Outcome.FAULT.value)
 
 
 def _scale(rows: Sequence[Sequence[float | None]], column: int) -> tuple[Array, Array]:

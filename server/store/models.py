@@ -260,6 +260,8 @@ class Throw(Base):
     phase: Mapped[str] = mapped_column(String(16))
     outcome: Mapped[str | None] = mapped_column(String(16))
     detail: Mapped[str] = mapped_column(Text, default="")
+    is_policys_own: Mapped[bool | None]
+    """Of an aborted throw: whether what the policy did is its reason; None where the machine did not say."""
     predicted_downrange_error_m: Mapped[float | None]
     predicted_crossrange_error_m: Mapped[float | None]
     predicted_sd_downrange_m: Mapped[float | None]

@@ -148,6 +148,7 @@ class EventIngest:
             throw.phase = ThrowPhase.ENDED.value
             throw.outcome = Outcome(end.outcome).value
             throw.detail = end.detail
+            throw.is_policys_own = end.is_policys_own
             throw.release_speed_m_per_s = _finite(end.release_speed_m_per_s)
             throw.throw_duration_s = _finite(end.throw_duration_s)
 

@@ -7,7 +7,7 @@ from machine.conventions import Mode, Motion
 from machine.spec import load_spec
 from runtime.control import control_loop, safety
 from runtime.control.control_loop import ControlInputs, ControlParams, Violation
-from runtime.throw.facts import abort_reason, fault_reason, with_control
+from runtime.throw.facts import abort_reason, fault_reason, is_policys_own, with_control
 from tests.cases import each
 from tests.runtime.protocol_bench import FACTS
 from tests.runtime.samples import NOW_NS, at_rest
@@ -65,6 +65,8 @@ def test_what_aborts(bit):
     reason = abort_reason(int(bit), 1.35)
     # The gate has closed the valves itself; its own bits say why.
     assert (words[bit] in reason) if bit in words else reason == ""
+    assert is_policys_own(int(bit)) is (bit in words and bit is not Violation.IMU)
+    assert not is_policys_own(int(bit | Violation.IMU)), "without the IMU no policy can do well"
 
 
 @each("bit", list(safety.Intervention))

@@ -405,6 +405,27 @@ def test_an_abort_holds_for_1_5_s_and_ends_the_throw():
     assert event.data["throw_duration_s"] is None
 
 
+@each(
+    ("facts", "wait_s", "is_own"),
+    [
+        ({"abort_reason": "swung", "abort_is_policys_own": True}, 0.0, True),
+        ({"abort_reason": "no IMU"}, 0.0, False),
+        ({"payload_held": False}, 0.0, False),
+        ({}, 0.5, False),
+    ],
+)
+def test_an_abort_says_whether_the_policy_is_its_reason(facts, wait_s, is_own):
+    bench = at(S.THROWING)
+    bench.wait(wait_s)
+    bench.tick(**facts)
+    bench.wait(1.6)
+    bench.tick()
+    (event,) = bench.actions.events
+    assert event.data["outcome"] == "aborted"
+    assert event.data["is_policys_own"] is is_own
+    assert not bench.machine.end_is_policys_own, "of that throw alone"
+
+
 def test_a_gripper_that_does_not_let_go_is_a_fault_once_the_machine_stands():
     bench = at(S.COMMITTED)
     bench.tick(motion=Motion.THROW, throw_done=True, load_gone=False)

@@ -60,7 +60,9 @@ class RolloutYard:
     def switch(self, machine_id):
         self.tell(machine_id, EventKind.POLICY_SWITCHED)
 
-    def throw(self, machine_id, count, *, ratio=1.0, policy_sha256=None, outcome="landed"):
+    def throw(
+        self, machine_id, count, *, ratio=1.0, policy_sha256=None, outcome="landed", is_own=None
+    ):
         scatter = self.rng.standard_normal((count, 2)) * SD_M * ratio
         with self.parts.database.write() as database:
             for along_m, across_m in scatter.tolist():
@@ -82,6 +84,7 @@ class RolloutYard:
                         policy_sha256=policy_sha256 or self.new,
                         phase="ended",
                         outcome=outcome,
+                        is_policys_own=is_own,
                         measured_downrange_error_m=along_m,
                         measured_crossrange_error_m=across_m,
                         predicted_sd_downrange_m=SD_M[0],

@@ -90,6 +90,19 @@ def test_worse_throws_take_every_machine_back_with_the_numbers(yard):
         yard.rollouts.resume(begun.rollout_id, WHY, yard.eve)
 
 
+def test_aborts_count_where_the_policy_is_their_reason_or_nobody_knows(yard):
+    begun = start(yard, {"machine_ids": ["m001", "m002"]})
+    yard.switch("m001")
+    yard.throw("m001", 6, outcome="aborted", is_own=False)
+    yard.throw("m001", 6)
+    assert states(look(yard, begun))["m001"] == "testing"
+    for is_own in (None, True):
+        yard.throw("m001", 3, outcome="aborted", is_own=is_own)
+    ended = look(yard, begun)
+    assert ended.state == "rolled_back"
+    assert "failed, the gate allows 1 %" in ended.steps[-1].sentence
+
+
 def test_a_machine_that_never_answers_pauses_it_until_a_person_decides(yard, monkeypatch):
     begun = start(yard)
     now = utc_now()
