@@ -108,13 +108,13 @@ link: $(STAMP)/python
 first-start: $(STAMP)/web
 	@$(BIN)/pytest tests/e2e/test_first_start.py
 
-# Two demos and two browsers: each waits for its machine, or draws on one core. The throw with the 3D view runs
-# alone: without graphics its drawing takes both cores, and the hold signal may not be late.
-VIEW_TEST := tests/e2e/test_click_to_throw.py
+# Two demos and two browsers: each waits for its machine, or draws on one core. Where a button is held they run
+# one by one, on one demo: a second browser or a diagnosis beside them delays the signal of the hold.
+HOLD_TESTS := $(addprefix tests/e2e/test_,click_to_throw.py keyboard.py touch.py work.py zone_page.py)
 browser-test: $(STAMP)/web $(STAMP)/browser
-	@$(BIN)/pytest --durations 3 $(VIEW_TEST)
+	@$(BIN)/pytest --durations 6 $(HOLD_TESTS)
 	@$(BIN)/pytest -n 2 --dist loadfile -m "not long" --durations 12 --ignore tests/e2e/test_first_start.py \
-		--ignore $(VIEW_TEST) tests/e2e
+		$(addprefix --ignore ,$(HOLD_TESTS)) tests/e2e
 
 e2e: first-start browser-test  ## The whole demo in a real browser: click, preview, hold, impact, STOP
 
