@@ -30,7 +30,7 @@ SWING_RADIUS_M = 5.0
 """Distance of the grip from the axis about which the arm swings at the release."""
 GRAIN_COUNT = 200
 POUR_COUNT = 24
-"""Points of pouring that stand for a load's grains."""
+"""Points of pouring that stand for a load's grains; spill counts in such parts, 4 % of a load each."""
 
 
 class GripRelease(NamedTuple):

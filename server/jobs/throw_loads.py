@@ -6,7 +6,7 @@ from datetime import datetime
 from typing import Final, NamedTuple
 
 import numpy as np
-from sqlalchemy import select
+from sqlalchemy import ColumnElement, select
 from sqlalchemy.orm import Session as DatabaseSession
 
 from bulk.footprint import turned
@@ -191,6 +191,18 @@ def _listed(covariance_m2: tuple[float, float, float] | None) -> list[float] | N
     return None if covariance_m2 is None else list(covariance_m2)
 
 
+def _is_measured(machine_id: str, mode: str, policy_sha256: str) -> tuple[ColumnElement[bool], ...]:
+    """Throws of a machine and version that landed, and whose miss is known."""
+    return (
+        Throw.machine_id == machine_id,
+        Throw.mode == mode,
+        Throw.policy_sha256 == policy_sha256,
+        Throw.outcome == Outcome.LANDED.value,
+        Throw.measured_downrange_error_m.is_not(None),
+        Throw.measured_crossrange_error_m.is_not(None),
+    )
+
+
 def measured_scatter(
     database: DatabaseSession, machine_id: str, mode: str, policy_sha256: str
 ) -> tuple[LandingScatter, ...]:
@@ -198,12 +210,7 @@ def measured_scatter(
     query = (
         select(Throw.range_m, Throw.measured_downrange_error_m, Throw.measured_crossrange_error_m)
         .where(
-            Throw.machine_id == machine_id,
-            Throw.mode == mode,
-            Throw.policy_sha256 == policy_sha256,
-            Throw.outcome == Outcome.LANDED.value,
-            Throw.measured_downrange_error_m.is_not(None),
-            Throw.measured_crossrange_error_m.is_not(None),
+            *_is_measured(machine_id, mode, policy_sha256),
             threw_a_ball(),
         )
         .order_by(Throw.throw_id.desc())
@@ -221,12 +228,7 @@ def measured_loads(
         select(Throw)
         .join(Plan, Plan.plan_id == Throw.plan_id)
         .where(
-            Throw.machine_id == machine_id,
-            Throw.mode == mode,
-            Throw.policy_sha256 == policy_sha256,
-            Throw.outcome == Outcome.LANDED.value,
-            Throw.measured_downrange_error_m.is_not(None),
-            Throw.measured_crossrange_error_m.is_not(None),
+            *_is_measured(machine_id, mode, policy_sha256),
             Plan.material["name"].as_string() == material,
         )
         .order_by(Throw.throw_id.desc())
