@@ -8,11 +8,15 @@ angle of repose by up to 12 % of its tangent, landing bias with 0.08 m of standa
 scatter 0.8 to 1.5 times and footprints 0.7 to 1.4 times as wide as assumed, grabs that differ by 8 %.
 
 Greedy throws full grabs at the place where most is missing under the footprint; fixed throws at three places
-along the length in turn. Intervals by bootstrap over jobs.
+along the length in turn. These throw 2D at one pace with the scatter measured there. The last two rules
+compare 2D at pace 0 with a free choice of mode and pace, with scatter and footprints of the twin's previews.
+Intervals by bootstrap over jobs.
 """
 
 import math
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from functools import cache
 from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple
@@ -21,18 +25,21 @@ import numpy as np
 import tyro
 
 from benchmarks.result_file import Value, describe, percentile, row, write_result
+from bulk.footprint import POUR_COUNT
 from bulk.goal import Goal, pile_goal, truck_goal
 from bulk.height_field import Container, HeightField, Rectangle, level_field, make_grid
 from bulk.material import material
-from bulk.planner import LoadPlanner, PlannedLoad
-from bulk.simulation import Rule, Truth, planned_rule, simulate_job
+from bulk.planner import GRAB_S, LoadPlanner, PlannedLoad
+from bulk.previewed_throws import open_policies, previewed_models
+from bulk.simulation import JobRun, Rule, Truth, planned_rule, simulate_job
 from bulk.throw_model import LandingScatter, ThrowModel, measured_model
+from machine.conventions import DEFAULT_PACE_RATIO, Mode
 from machine.policy_card import load_card
 from machine.spec import load_spec
 
 MATERIALS = ("gravel", "sand", "wood chips")
 GOALS = ("truck", "pile")
-RULES = ("planner", "one load ahead", "greedy", "fixed")
+RULES = ("planner", "one load ahead", "greedy", "fixed", "2D at pace 0", "mode and pace chosen")
 GRAB_M3 = 0.25
 SCATTER = (
     LandingScatter(7.0, 0.05, 0.04),
@@ -54,6 +61,8 @@ class JobResult(NamedTuple):
     unevenness_m: float
     spill_ratio: float
     load_count: int
+    work_s: float
+    """With the assumed time of a grab."""
     balance_ratio: float
     """Thrown volume that is not on the field, over the thrown one."""
 
@@ -64,6 +73,8 @@ class Setting(NamedTuple):
     start: HeightField
     goal: Goal
     throws: ThrowModel
+    previewed: tuple[ThrowModel, ...]
+    """Both modes at every pace."""
     truth: Truth
     struck_m3: float
 
@@ -96,13 +107,30 @@ def draw(seed: int, index: int) -> Setting:
         struck = float((goal.wanted_m - start.height_m).sum()) * grid.cell_area_m2
         height_m = 0.5
     throws = measured_model(load_card(CARD), load_spec(), stuff, SCATTER, height_m, GRAB_M3)
-    return Setting(start, goal, throws, truth, struck)
+    return Setting(start, goal, throws, previewed(stuff.name, height_m), truth, struck)
+
+
+@cache
+def previewed(name: str, height_m: float) -> tuple[ThrowModel, ...]:
+    """Throws of the active policies with a material, as the twin previews them."""
+    among = open_policies(CARD.parent, None, None)
+    return previewed_models(among, load_spec(), material(name), height_m, GRAB_M3)
+
+
+def models_of(name: str, job: Setting) -> tuple[ThrowModel, ...]:
+    """Throws that a rule may choose from."""
+    if name == "mode and pace chosen":
+        return job.previewed
+    if name == "2D at pace 0":
+        ways = ((one.card.mode, one.pace_ratio, one) for one in job.previewed)
+        return tuple(one for mode, pace, one in ways if (mode, pace) == (Mode.PLANAR, 0.0))
+    return (job.throws,)
 
 
 def chosen(name: str, job: Setting) -> Rule:
     """A rule by name, ending with the job's stock."""
     depth = 1 if name == "one load ahead" else 3
-    planner = LoadPlanner(job.goal, job.start, job.throws, GRAB_M3, depth=depth)
+    planner = LoadPlanner(job.goal, job.start, models_of(name, job), GRAB_M3, depth=depth)
     if name == "greedy":
         rule = greedy(planner, job)
     elif name == "fixed":
@@ -152,7 +180,9 @@ def fixed(planner: LoadPlanner, job: Setting) -> Rule:
 
 
 def plain_load(surface: HeightField, x_m: float, y_m: float) -> PlannedLoad:
-    return PlannedLoad(x_m, y_m, surface.surface_m(x_m, y_m) or 0.0, GRAB_M3, 0.0, 0.0, "", 0.0)
+    height_m = surface.surface_m(x_m, y_m) or 0.0
+    way = Mode.PLANAR, DEFAULT_PACE_RATIO, ""
+    return PlannedLoad(x_m, y_m, height_m, GRAB_M3, 0.0, 0.0, "", 0.0, *way)
 
 
 def run_one(task: tuple[int, int]) -> list[JobResult]:
@@ -162,7 +192,7 @@ def run_one(task: tuple[int, int]) -> list[JobResult]:
     results: list[JobResult] = []
     for rule in RULES:
         run = simulate_job(
-            job.goal, job.start, job.throws, chosen(rule, job), job.truth,
+            job.goal, job.start, models_of(rule, job), chosen(rule, job), job.truth,
             np.random.default_rng((seed, index, 1)),
         )  # fmt: skip
         last = run.loads[-1].after
@@ -171,10 +201,16 @@ def run_one(task: tuple[int, int]) -> list[JobResult]:
         results.append(
             JobResult(
                 GOALS[index % 2], rule, full, last.unevenness_m, last.spill_ratio,
-                len(run.loads), balance / run.thrown_m3,
+                len(run.loads), work_s(run, models_of(rule, job)), balance / run.thrown_m3,
             )
         )  # fmt: skip
     return results
+
+
+def work_s(run: JobRun, models: Sequence[ThrowModel]) -> float:
+    """Time of a job's loads."""
+    release_s = {(one.card.mode, one.pace_ratio): one.release_s for one in models}
+    return sum(GRAB_S + release_s[load.target.mode, load.target.pace_ratio] for load in run.loads)
 
 
 def mean_value(samples: np.ndarray, rng: np.random.Generator) -> Value:
@@ -214,6 +250,7 @@ def job_rows(results: list[list[JobResult]]) -> list[object]:
                 "spill_mean_ratio": mean_value(column(rule, "spill_ratio"), rng),
                 "unevenness_mean_m": mean_value(column(rule, "unevenness_m"), rng),
                 "load_count": mean_value(column(rule, "load_count"), rng),
+                "work_s": mean_value(column(rule, "work_s"), rng),
                 "balance_largest_ratio": float(column(rule, "balance_ratio").max()),
             }
             for name in ("spill_ratio", "unevenness_m"):
@@ -230,22 +267,27 @@ def job_rows(results: list[list[JobResult]]) -> list[object]:
 def speed_rows(repeats: int = 60) -> list[object]:
     """Milliseconds of a pour on a used surface of 128 x 128 cells and of a plan of three loads."""
     job = draw(0, 0)
-    planner = LoadPlanner(job.goal, job.start, job.throws, GRAB_M3)
+    planner = LoadPlanner(job.goal, job.start, [job.throws], GRAB_M3)
+    chooser = LoadPlanner(job.goal, job.start, job.previewed, GRAB_M3)
     rng, surface = np.random.default_rng(1), job.start
     pours: list[float] = []
     plans: list[float] = []
+    choices: list[float] = []
     points = planner.places_m
     for _ in range(repeats):
         centre = points[rng.integers(len(points))]
-        grains = centre + rng.normal(0.0, 0.25, (12, 2))
+        grains = centre + rng.normal(0.0, 0.25, (POUR_COUNT, 2))
         began = perf_counter()
-        after = surface.pour(grains, 0.1 / 12, job.truth.slope_ratio)
+        after = surface.pour(grains, GRAB_M3 / POUR_COUNT, job.truth.slope_ratio)
         pours.append(1e3 * (perf_counter() - began))
         surface = after
     for _ in range(repeats // 3):
         began = perf_counter()
         planner.next_loads(job.start)
         plans.append(1e3 * (perf_counter() - began))
+        began = perf_counter()
+        chooser.next_loads(job.start)
+        choices.append(1e3 * (perf_counter() - began))
     return [
         row(
             len(times),
@@ -255,6 +297,7 @@ def speed_rows(repeats: int = 60) -> list[object]:
         for name, times in (
             ("pour of one load, 128 x 128 cells", pours),
             ("plan of 3 loads, 200 candidates each", plans),
+            ("the same, each at the best of 2 modes and 2 paces", choices),
         )
     ]  # fmt: skip
 

@@ -115,7 +115,10 @@ class JobFile(_Strict):
     """Content of a job file."""
 
     name: str = Field(min_length=1, max_length=80)
-    mode: Literal["2d", "3d"] = "2d"
+    mode: Literal["2d", "3d"] | None = None
+    """How every load is thrown; left out: the planner chooses for each."""
+    pace_ratio: float | None = Field(default=None, ge=0.0, le=1.0)
+    """0 careful .. 1 fast, of every load; left out: the planner chooses for each."""
     material: str | Material
     """Name of a known kind, or its own numbers."""
     grab_m3: float = Field(gt=0.0, le=3.0)
@@ -131,12 +134,14 @@ class JobFile(_Strict):
     """Boxes, pits and piles that do not move."""
     zones: Zones = ()
     landing: tuple[ScatterEntry, ...] = Field(default=(), max_length=40)
-    """Measured on this machine; left out: predicted in the twin."""
+    """Measured on this machine with `mode`; left out: predicted in the twin."""
 
     @model_validator(mode="after")
     def _check_ground(self) -> "JobFile":
         if (self.area is None) == (self.survey is None):
             raise ValueError("give either area or survey")
+        if self.landing and self.mode is None:
+            raise ValueError("landing is that of one mode; give mode as well")
         return self
 
 

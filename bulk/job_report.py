@@ -40,25 +40,25 @@ def load_json(load: PlannedLoad) -> dict[str, Any]:
     return {**load._asdict(), "sentence": load.sentence}
 
 
-def job_json(job: BulkJob, throws: ThrowModel) -> dict[str, Any]:
+def job_json(job: BulkJob, models: Sequence[ThrowModel]) -> dict[str, Any]:
     """What job and machine are."""
     return {
         "name": job.file.name,
         "goal": job.goal.kind.value,
         "material": job.material.name,
-        "policy": throws.card.policy_id,
+        "policy": " and ".join(sorted({model.card.policy_id for model in models})),
         "grab_m3": job.file.grab_m3,
         "grab_kg": job.material.mass_kg(job.file.grab_m3),
         "landing_is_measured": bool(job.file.landing),
     }
 
 
-def run_json(job: BulkJob, throws: ThrowModel, run: JobRun, seed: int) -> dict[str, Any]:
+def run_json(job: BulkJob, models: Sequence[ThrowModel], run: JobRun, seed: int) -> dict[str, Any]:
     """Course of a simulated job."""
     start, end = run.start.volume_m3(), run.final.volume_m3()
     dug = run.thrown_m3 if job.goal.heap is not None else 0.0
     return {
-        "job": job_json(job, throws),
+        "job": job_json(job, models),
         "seed": seed,
         "progress": progress_json(run.loads[-1].after) if run.loads else None,
         "thrown_m3": run.thrown_m3,

@@ -1,55 +1,94 @@
-"""Throws of a policy as its previews in the nominal twin show them: scatter and releases by range."""
+"""Throws of policies as their previews in the nominal twin show them: scatter and releases by range."""
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from bulk.footprint import GripRelease
 from bulk.material import Material
-from bulk.throw_model import LandingScatter, ThrowModel, make_model
+from bulk.throw_model import LandingScatter, PolicyFolder, ThrowModel, make_model
 from machine.calibration import nominal_calibration
-from machine.conventions import Mode
+from machine.conventions import DEFAULT_PACE_RATIO, Mode
 from machine.errors import UsageError
 from machine.kinematics import grip_centre
 from machine.messages import Target
-from machine.policy_card import PolicyCard, load_card
+from machine.policy_card import load_card
 from machine.reach import MIN_RANGE_M, reach_m
 from machine.spec import MachineSpec
 from machine.starts import safe_pose
 from runtime.control.control_loop import ControlParams
-from runtime.control.policy import PolicyRunner, find_policy
+from runtime.control.policy import PolicyRunner, find_policy, is_paced
 from sim_twin.throws.preview import FRAME_PERIOD_S, PreviewRequest, ThrowPreview, preview
 from sim_twin.twin.profile import nominal_profile
 
-RANGE_COUNT = 3
+RANGE_COUNT = 2
 """Ranges at which a policy's throws are previewed; between them covariances are interpolated."""
-PREVIEW_THROW_COUNT = 60
+PREVIEW_THROW_COUNT = 24
+"""Enough: grains of a load spread five times as far as its landings scatter."""
+PACES = (0.0, 1.0)
+"""Paces that the planner chooses from."""
 
 
-def open_card(policies: Path, policy: Path | None, mode: Mode) -> tuple[Path, PolicyCard]:
-    """Folder and card of the policy that a job is thrown with.
+def open_policies(policies: Path, policy: Path | None, mode: Mode | None) -> list[PolicyFolder]:
+    """Policies that a job may be thrown with: the active ones of a mode, or of every mode.
+
+    Args:
+        policies: folder of policy versions.
+        policy: the only version, instead of the active ones.
+        mode: of the job; None: any.
 
     Raises:
-        PolicyError: it cannot be used.
-        UsageError: it throws in the other mode.
+        PolicyError: one cannot be used.
+        UsageError: the version throws in the other mode.
     """
-    folder = find_policy(policies, mode) if policy is None else policy
-    card = load_card(folder)
-    if card.mode is not mode:
-        raise UsageError(f"policy {card.policy_id} throws {card.mode.value}, the job {mode.value}")
-    return folder, card
+    if policy is None:
+        folders = [find_policy(policies, one) for one in Mode if mode in (None, one)]
+        return [PolicyFolder(folder, load_card(folder)) for folder in folders]
+    card = load_card(policy)
+    if mode not in (None, card.mode):
+        raise UsageError(f"policy {card.policy_id} throws {card.mode.value}, the job {mode}")
+    return [PolicyFolder(policy, card)]
 
 
-def previewed_model(
-    folder: Path, card: PolicyCard, spec: MachineSpec, material: Material, height_m: float,
-    grab_m3: float,
-) -> ThrowModel:  # fmt: skip
-    """Model from previews of the policy in the nominal twin, thrown to a height (takes seconds).
+def previewed_models(
+    among: Sequence[PolicyFolder], spec: MachineSpec, material: Material, height_m: float,
+    grab_m3: float, pace_ratio: float | None = None,
+) -> tuple[ThrowModel, ...]:  # fmt: skip
+    """Models of policies from previews in the nominal twin, thrown to a height (2 to 3 s each).
+
+    Args:
+        among: policies.
+        spec: machine type.
+        material: of the loads.
+        height_m: of the target.
+        grab_m3: volume of a full grab.
+        pace_ratio: the only pace; None: each of several.
+
+    Returns:
+        One for each policy and pace whose throws land.
 
     Raises:
         UsageError: no previewed throw lands there.
     """
+    models: list[ThrowModel] = []
+    for policy in among:
+        paces = PACES if is_paced(policy.card) else (DEFAULT_PACE_RATIO,)
+        for pace in paces if pace_ratio is None else (pace_ratio,):
+            model = _previewed(policy, spec, material, height_m, grab_m3, pace)
+            models += [] if model is None else [model]
+    if not models:
+        names = " and ".join(policy.card.policy_id for policy in among)
+        raise UsageError(f"no previewed throw of {names} lands at height {height_m:.2f} m")
+    return tuple(models)
+
+
+def _previewed(
+    policy: PolicyFolder, spec: MachineSpec, material: Material, height_m: float, grab_m3: float,
+    pace_ratio: float,
+) -> ThrowModel | None:  # fmt: skip
+    folder, card = policy
     params = ControlParams(
         spec=spec,
         calibration=nominal_calibration(spec).for_twin(),
@@ -60,6 +99,7 @@ def previewed_model(
     nearest = max(card.target_range_min_m, MIN_RANGE_M[card.mode])
     scatter: list[LandingScatter] = []
     releases: list[GripRelease] = []
+    release_s: list[float] = []
     for range_m in np.linspace(nearest, reach_m(card, height_m), RANGE_COUNT + 2)[1:-1].tolist():
         shown = preview(
             PreviewRequest(
@@ -68,15 +108,18 @@ def previewed_model(
                 target=Target(x_m=range_m, y_m=0.0, z_m=height_m),
                 joint_position_rad_m=(pose[0], pose[1], pose[2], pose[3], pose[4], pose[5]),
                 rollout_count=PREVIEW_THROW_COUNT,
+                pace_ratio=pace_ratio,
             )
         )
         if shown.impact_m is not None and shown.ellipse is not None:
             ellipse = shown.ellipse
             scatter.append(LandingScatter(range_m, ellipse.sd_downrange_m, ellipse.sd_crossrange_m))
             releases.append(release_of(shown, spec))
+            release_s.append(shown.release_s)
     if not scatter:
-        raise UsageError(f"no previewed throw of {card.policy_id} lands at height {height_m:.2f} m")
-    return make_model(card, spec, material, scatter, releases, height_m, grab_m3)
+        return None
+    timing = pace_ratio, float(np.mean(release_s))
+    return make_model(card, spec, material, scatter, releases, height_m, grab_m3, timing)
 
 
 def release_of(shown: ThrowPreview, spec: MachineSpec) -> GripRelease:

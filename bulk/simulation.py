@@ -5,7 +5,7 @@ takes more or less than asked, grains poured one place after the other instead o
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -72,7 +72,7 @@ class JobRun:
 
 
 def simulate_job(
-    goal: Goal, start: HeightField, throws: ThrowModel, rule: Rule, truth: Truth,
+    goal: Goal, start: HeightField, models: Sequence[ThrowModel], rule: Rule, truth: Truth,
     rng: np.random.Generator, max_load_count: int = MAX_LOAD_COUNT,
 ) -> JobRun:  # fmt: skip
     """Throw loads until the rule ends the job."""
@@ -84,10 +84,15 @@ def simulate_job(
         asked = load.volume_m3 * max(0.2, 1.0 + truth.grab_spread_ratio * float(rng.normal()))
         surface, volume = run.final, asked
         if goal.heap is not None:
-            dug = dig_heap(surface, goal, asked, throws.material)
+            dug = dig_heap(surface, goal, asked, models[0].material)
             if dug is None:
                 break
             surface, volume = dug
+        throws = next(
+            model
+            for model in models
+            if (model.card.mode, model.pace_ratio) == (load.mode, load.pace_ratio)
+        )
         sd = throws.landing_sd_m(math.hypot(load.x_m, load.y_m))
         landed = scattered_landing(
             load, (truth.scatter_ratio * sd[0], truth.scatter_ratio * sd[1]), truth.bias_m, rng

@@ -1,15 +1,16 @@
-"""What the planner knows of the throws: reach, scatter of landings and footprints by range."""
+"""What the planner knows of one mode and pace: reach, scatter of landings and footprints by range."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from bulk.footprint import Footprint, GripRelease, footprint, release_towards, turned
 from bulk.material import Material
-from machine.conventions import Array, BoolArray
+from machine.conventions import DEFAULT_PACE_RATIO, Array, BoolArray, Mode
 from machine.errors import UsageError
 from machine.policy_card import PolicyCard
 from machine.reach import MIN_RANGE_M, load_reach_ratio, reach_m
@@ -17,6 +18,15 @@ from machine.spec import MachineSpec
 
 PREDICTED_COUNT = 4
 """Measured loads that weigh as much as the prediction: enough that two odd ones do not decide."""
+USUAL_RELEASE_S = 3.0
+"""From the start of a throw until it lets go, where it is not simulated; about that of both modes."""
+
+
+class PolicyFolder(NamedTuple):
+    """A policy version that loads may be thrown with."""
+
+    folder: Path
+    card: PolicyCard
 
 
 class LandingScatter(NamedTuple):
@@ -31,6 +41,7 @@ class MeasuredLoad(NamedTuple):
     """A load that was thrown and measured; pairs are downrange and crossrange."""
 
     range_m: float
+    pace_ratio: float
     error_m: tuple[float, float]
     """Of its centre from the target."""
     variance_m2: tuple[float, float]
@@ -39,9 +50,12 @@ class MeasuredLoad(NamedTuple):
 
 @dataclass(frozen=True)
 class ThrowModel:
-    """Throws of one policy with one material."""
+    """Throws of one policy at one pace with one material."""
 
     card: PolicyCard
+    pace_ratio: float
+    release_s: float
+    """From the start of a throw until it lets go, mean over the ranges."""
     material: Material
     range_m: Array
     """(N) increasing."""
@@ -81,48 +95,95 @@ class ThrowModel:
         turns = np.stack([turned(angle) for angle in bearing.tolist()])
         return turns @ local @ turns.transpose(0, 2, 1)
 
-    def learned(self, loads: Sequence[MeasuredLoad]) -> "ThrowModel":
-        """With the spread that loads of the same material showed; the prediction weighs as much as a few.
+    def spread(self, landing_ratio: Array, grain_ratio: Array) -> "ThrowModel":
+        """With variances (2), downrange and crossrange, of landings and grains times ratios.
 
-        Variances keep their course over the range. Mean misses count as scatter.
+        Variances keep their course over the range.
         """
-        if not loads:
-            return self
-        ranges = [load.range_m for load in loads]
-        grains = np.stack([np.diagonal(mark.covariance_m2) for mark in self.footprints])
-        landing = self._growth(
-            ranges, self.landing_variance_m2, [load.error_m for load in loads], 2
-        )
-        grain = self._growth(ranges, grains, [load.variance_m2 for load in loads], 1)
         return replace(
             self,
-            landing_variance_m2=self.landing_variance_m2 * landing,
-            footprints=tuple(mark.scaled(np.sqrt(grain)) for mark in self.footprints),
+            landing_variance_m2=self.landing_variance_m2 * landing_ratio,
+            footprints=tuple(mark.scaled(np.sqrt(grain_ratio)) for mark in self.footprints),
         )
 
-    def _growth(
-        self, ranges: list[float], predicted: Array, measured: list[tuple[float, float]], power: int
-    ) -> Array:
-        """(2) ratios of measured over predicted (N, 2) variances, with the weight of the prediction."""
-        expected = np.stack([np.interp(ranges, self.range_m, predicted[:, i]) for i in (0, 1)], -1)
-        ratios = np.array(measured) ** power / expected
-        return (PREDICTED_COUNT + ratios.sum(axis=0)) / (PREDICTED_COUNT + len(ratios))
+    def grain_variance_m2(self) -> Array:
+        """(N, 2) of places of grains about their centre, downrange and crossrange."""
+        return np.stack([np.diagonal(mark.covariance_m2) for mark in self.footprints])
+
+    def at_range(self, values: Array, range_m: float) -> Array:
+        """(2) of values (N, 2) at the ranges, interpolated."""
+        return np.array([np.interp(range_m, self.range_m, values[:, i]) for i in (0, 1)])
 
     def landing_sd_m(self, range_m: float) -> tuple[float, float]:
         """Standard deviations of landings downrange and crossrange."""
-        down, cross = (
-            np.interp(range_m, self.range_m, self.landing_variance_m2[:, i]) for i in (0, 1)
-        )
-        return math.sqrt(float(down)), math.sqrt(float(cross))
+        down, cross = self.at_range(self.landing_variance_m2, range_m).tolist()
+        return math.sqrt(down), math.sqrt(cross)
 
     def footprint_near(self, range_m: float) -> Footprint:
         """Footprint at the nearest range that was simulated."""
         return self.footprints[int(np.abs(self.range_m - range_m).argmin())]
 
 
+def learned_models(
+    models: Sequence[ThrowModel],
+    scatter: Mapping[Mode, Sequence[LandingScatter]],
+    loads: Mapping[Mode, Sequence[MeasuredLoad]],
+) -> tuple[ThrowModel, ...]:
+    """Predicted models with the spread that measured throws of their mode showed.
+
+    Args:
+        models: predicted.
+        scatter: of balls, at whatever pace: compared with the prediction at the usual one.
+        loads: of the same material, compared with the prediction nearest to their pace; others than those of
+            a model's own pace count where it has none. The prediction weighs as much as a few of them. Mean
+            misses count as scatter.
+    """
+    learned: list[ThrowModel] = []
+    for model in models:
+        mode = model.card.mode
+        of = [item for item in models if item.card.mode is mode]
+        landing, grain = np.ones(2), np.ones(2)
+        if scatter.get(mode):
+            usual = _nearest(of, DEFAULT_PACE_RATIO)
+            landing = np.mean(
+                [
+                    np.square((one.sd_downrange_m, one.sd_crossrange_m))
+                    / usual.at_range(usual.landing_variance_m2, one.range_m)
+                    for one in scatter[mode]
+                ],
+                axis=0,
+            )
+        if loads.get(mode):
+            alike = [(_nearest(of, load.pace_ratio), load) for load in loads[mode]]
+            near = [(like, load) for like, load in alike if like is model] or alike
+            missed = [
+                np.square(load.error_m)
+                / (landing * like.at_range(like.landing_variance_m2, load.range_m))
+                for like, load in near
+            ]
+            spread = [
+                np.array(load.variance_m2) / like.at_range(like.grain_variance_m2(), load.range_m)
+                for like, load in near
+            ]
+            landing = landing * _with_prediction(missed)
+            grain = _with_prediction(spread)
+        learned.append(model.spread(landing, grain))
+    return tuple(learned)
+
+
+def _nearest(models: Sequence[ThrowModel], pace_ratio: float) -> ThrowModel:
+    return min(models, key=lambda model: abs(model.pace_ratio - pace_ratio))
+
+
+def _with_prediction(ratios: Sequence[Array]) -> Array:
+    """(2) mean of measured over predicted variances, with the prediction's own weight."""
+    return (PREDICTED_COUNT + np.sum(ratios, axis=0)) / (PREDICTED_COUNT + len(ratios))
+
+
 def measured_model(
     card: PolicyCard, spec: MachineSpec, material: Material, scatter: Sequence[LandingScatter],
-    height_m: float, grab_m3: float,
+    height_m: float, grab_m3: float, pace_ratio: float = DEFAULT_PACE_RATIO,
+    release_s: float = USUAL_RELEASE_S,
 ) -> ThrowModel:  # fmt: skip
     """Model from measured scatter, with typical releases.
 
@@ -133,17 +194,20 @@ def measured_model(
     if not ranges.size or (np.diff(ranges) <= 0.0).any():
         raise UsageError("the landing scatter needs one range or more, increasing")
     releases = [release_towards(max(item.range_m, 5.0), height_m) for item in scatter]
-    return make_model(card, spec, material, scatter, releases, height_m, grab_m3)
+    timing = pace_ratio, release_s
+    return make_model(card, spec, material, scatter, releases, height_m, grab_m3, timing)
 
 
 def make_model(
     card: PolicyCard, spec: MachineSpec, material: Material, scatter: Sequence[LandingScatter],
-    releases: Sequence[GripRelease], height_m: float, grab_m3: float,
+    releases: Sequence[GripRelease], height_m: float, grab_m3: float, timing: tuple[float, float],
 ) -> ThrowModel:  # fmt: skip
-    """Model from scatter and releases at the same ranges, increasing."""
+    """Model from scatter and releases at the same ranges, increasing; timing: pace, and release in s."""
     rng = np.random.default_rng(0)
     return ThrowModel(
         card=card,
+        pace_ratio=timing[0],
+        release_s=timing[1],
         material=material,
         range_m=np.array([item.range_m for item in scatter], dtype=np.float64),
         landing_variance_m2=np.array(

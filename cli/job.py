@@ -1,6 +1,7 @@
 """`downrange job`: plan the loads of a job with bulk material, simulate it, write its report."""
 
 import json as json_text
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,10 @@ from bulk.job_file import BulkJob, read_job
 from bulk.job_report import job_html, job_json, load_json, progress_json, run_json
 from bulk.placement import middle_height_m
 from bulk.planner import LoadPlanner
-from bulk.previewed_throws import open_card, previewed_model
+from bulk.previewed_throws import open_policies, previewed_models
 from bulk.simulation import Truth, planned_rule, simulate_job
 from bulk.throw_model import LandingScatter, ThrowModel, measured_model
-from machine.conventions import Mode
+from machine.conventions import DEFAULT_PACE_RATIO, Mode
 from machine.errors import UsageError
 from machine.spec import load_spec
 
@@ -34,16 +35,16 @@ def plan(
     Args:
         file: the job (docs/bulk.md).
         policies: folder of policy versions; its active.json names the one of each mode.
-        policy: folder of one policy version, instead of the active one.
+        policy: folder of one policy version, instead of the active ones.
         json: print the plan as JSON.
     """
     job = read_job(file)
-    throws = _throws(job, policies, policy)
-    loads = _planner(job, throws).next_loads(job.field)
+    models = _models(job, policies, policy)
+    loads = _planner(job, models).next_loads(job.field)
     state = progress(job.goal, job.field, job.field)
     if json:
         content = {
-            "job": job_json(job, throws),
+            "job": job_json(job, models),
             "progress": progress_json(state),
             "loads": [load_json(load) for load in loads],
         }
@@ -78,7 +79,7 @@ def simulate(
         repose_ratio: tangent of the true angle of repose over the known one.
         bias: mean landing error downrange and crossrange, metres.
         policies: folder of policy versions; its active.json names the one of each mode.
-        policy: folder of one policy version, instead of the active one.
+        policy: folder of one policy version, instead of the active ones.
     """
     if seed < 0 or loads < 1 or not 0.3 <= repose_ratio <= 2.0 or not np.abs(bias).max() <= 2.0:
         raise UsageError(
@@ -88,17 +89,17 @@ def simulate(
     if not output.resolve().parent.is_dir():
         raise UsageError(f"cannot write {output}: the folder {output.parent} does not exist")
     job = read_job(file)
-    throws = _throws(job, policies, policy)
+    models = _models(job, policies, policy)
     run = simulate_job(
         job.goal,
         job.field,
-        throws,
-        planned_rule(_planner(job, throws)),
+        models,
+        planned_rule(_planner(job, models)),
         Truth(repose_ratio * job.material.slope_ratio, bias),
         np.random.default_rng(seed),
         loads,
     )
-    content = run_json(job, throws, run, seed)
+    content = run_json(job, models, run, seed)
     output.write_text(json_text.dumps(content, allow_nan=False) + "\n", encoding="utf-8")
     if not run.loads:
         print("no load was thrown: none would bring the surface nearer to the goal")
@@ -134,19 +135,23 @@ def report(run: JobPath, /, *, output: Path) -> int:
     return 0
 
 
-def _planner(job: BulkJob, throws: ThrowModel) -> LoadPlanner:
-    return LoadPlanner(job.goal, job.field, throws, job.file.grab_m3, job.file.zones)
+def _planner(job: BulkJob, models: Sequence[ThrowModel]) -> LoadPlanner:
+    return LoadPlanner(job.goal, job.field, models, job.file.grab_m3, job.file.zones)
 
 
-def _throws(job: BulkJob, policies: Path, policy: Path | None) -> ThrowModel:
+def _models(job: BulkJob, policies: Path, policy: Path | None) -> tuple[ThrowModel, ...]:
     """The machine's throws: measured scatter of the job file, or previews in the twin."""
-    spec = load_spec()
-    folder, card = open_card(policies, policy, Mode(job.file.mode))
+    spec, file = load_spec(), job.file
+    among = open_policies(policies, policy, None if file.mode is None else Mode(file.mode))
     height_m = middle_height_m(job)
-    if job.file.landing:
-        scatter = [LandingScatter(**item.model_dump()) for item in job.file.landing]
-        return measured_model(card, spec, job.material, scatter, height_m, job.file.grab_m3)
-    return previewed_model(folder, card, spec, job.material, height_m, job.file.grab_m3)
+    if not file.landing:
+        return previewed_models(among, spec, job.material, height_m, file.grab_m3, file.pace_ratio)
+    scatter = [LandingScatter(**item.model_dump()) for item in file.landing]
+    pace = DEFAULT_PACE_RATIO if file.pace_ratio is None else file.pace_ratio
+    return tuple(
+        measured_model(one.card, spec, job.material, scatter, height_m, file.grab_m3, pace)
+        for one in among
+    )
 
 
 ACTIONS = {"plan": plan, "simulate": simulate, "report": report}

@@ -298,10 +298,15 @@ def sentence_of(
         if signature["looks_like"] is not None:
             return f"{size}Something unknown in {signature['stage']}{joint}: {signature['looks_like']}."
         leaves = "the best known cause leaves" if ranked.best.members else "no known cause explains"
+        beyond = (
+            "above the twin; only reference throws tell whether this machine was ever otherwise."
+            if gap.healthy_rms_m is None
+            else "above a healthy machine."
+        )
         return (
             f"{size}Something unknown in {signature['stage']}{joint}: {leaves} "
             f"{channel_words(signature['channel'])} {signature['leftover_sd']:.0f} standard deviations "
-            "above a healthy machine."
+            f"{beyond}"
         )
     closes = ""
     if found is not None:

@@ -130,7 +130,7 @@ def read_policy(folder: Path) -> PolicyFiles:
     for path in (card_path, policy_path):
         if not path.is_file():
             raise PolicyError(
-                f"{path} is missing; a policy folder holds {POLICY_FILE} and {CARD_FILE}"
+                f"{path} is missing; a policy folder holds {POLICY_FILE}, {CARD_FILE} and {GOLDEN_FILE}"
             )
     try:
         policy, text = policy_path.read_bytes(), card_path.read_bytes()
@@ -158,8 +158,14 @@ def policy_of(folder: Path, policy: bytes, text: bytes, golden: bytes | None) ->
         if content is not None and not content:
             raise PolicyError(f"{folder / name} is empty; copy the policy again")
     try:
+        words = text.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise PolicyError(
+            f"{card_path} is no text in UTF-8 (byte {error.start}); save it as UTF-8"
+        ) from error
+    try:
         # Also numbers in fields of any content must be finite: no database holds others in JSON.
-        json.loads(text, parse_constant=_finite, parse_float=_finite)
+        json.loads(words, parse_constant=_finite, parse_float=_finite)
         card = PolicyCard.model_validate_json(text)
     except (ValueError, RecursionError) as error:
         raise PolicyError(f"{card_path} is not a policy card: {content_problems(error)}") from error

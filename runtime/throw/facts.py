@@ -40,6 +40,8 @@ def with_control(
 
 def abort_reason(violation_count: int, swing_limit_rad: float) -> str:
     """Why a throw may not go on, from `Violation` bits; empty = it may."""
+    if not violation_count:
+        return ""
     found = Violation(violation_count)
     if Violation.SWING in found:
         return f"the gripper swung beyond {swing_limit_rad:.2f} rad"
@@ -58,16 +60,21 @@ def abort_reason(violation_count: int, swing_limit_rad: float) -> str:
 
 def is_policys_own(violation_count: int) -> bool:
     """Whether what the policy did, and not the IMU, is the reason of `abort_reason`."""
-    return bool(Violation(violation_count) & _POLICYS_OWN) and not violation_count & Violation.IMU
+    return bool(violation_count & _POLICYS_OWN) and not violation_count & _IMU
 
 
-_POLICYS_OWN = (
+# Numbers, not members: arithmetic of flags costs as much as all else that a tick asks here.
+_IMU = int(Violation.IMU)
+_POLICYS_OWN = int(
     Violation.SWING | Violation.LATE | Violation.POLICY | Violation.ZONE | Violation.RELEASE
 )
+_LATCHING = int(safety.LATCHING)
 
 
 def fault_reason(safety_code_count: int) -> str:
     """Why the machine may not move, from `safety.Intervention` bits; empty = it may."""
+    if not safety_code_count & _LATCHING:
+        return ""
     found = safety.Intervention(safety_code_count) & safety.LATCHING
     if safety.Intervention.NOT_FINITE in found:
         return "a joint sensor or a valve request was not a number; check the sensors' wiring"

@@ -1,16 +1,20 @@
 """The next loads of a job, planned in a process of its own."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from bulk.job_file import BulkJob, JobFile, surveyed_job
 from bulk.placement import middle_height_m
 from bulk.planner import LoadPlanner, PlannedLoad
-from bulk.throw_model import LandingScatter, MeasuredLoad, ThrowModel, measured_model
-from machine.conventions import Array
+from bulk.throw_model import (
+    LandingScatter,
+    MeasuredLoad,
+    PolicyFolder,
+    ThrowModel,
+    learned_models,
+)
+from machine.conventions import Array, Mode
 from machine.errors import DownrangeError
-from machine.policy_card import PolicyCard
 from machine.site.zones import Zone
 from machine.spec import load_spec
 from server.child_process import Send, run_child
@@ -27,22 +31,22 @@ class PlanTask:
     """(rows, columns) present surface."""
     passed_m: tuple[tuple[float, float], ...]
     zones: tuple[Zone, ...]
-    policy_dir: Path
-    card: PolicyCard
-    landing: tuple[LandingScatter, ...]
+    policies: tuple[PolicyFolder, ...]
+    """On board, of the modes that may be chosen."""
+    landing: Mapping[Mode, tuple[LandingScatter, ...]]
     """Measured; empty: predicted in the twin."""
-    loads: tuple[MeasuredLoad, ...]
+    loads: Mapping[Mode, tuple[MeasuredLoad, ...]]
     """Measured ones of the same material."""
-    model: ThrowModel | None
-    """Of the same task before; predicting it takes seconds."""
+    models: tuple[ThrowModel, ...] | None
+    """Predicted for the same task before; it takes 2 to 3 s for each mode and pace."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlanAnswer:
-    """Loads that are proposed, and the throws that they were planned with, before what loads showed."""
+    """Loads that are proposed, and the throws as they were predicted, before what measured ones showed."""
 
     loads: tuple[PlannedLoad, ...]
-    model: ThrowModel
+    models: tuple[ThrowModel, ...]
 
 
 PlanLoads = Callable[[PlanTask, Callable[[], bool]], PlanAnswer]
@@ -56,21 +60,21 @@ def planned_loads(task: PlanTask) -> PlanAnswer:
         UsageError: the goal cannot be thrown at; with the numbers.
     """
     job = surveyed_job(task.file, task.ground)
-    model = task.model or _model(task, job)
-    throws = model.learned(task.loads)
-    planner = LoadPlanner(job.goal, job.field, throws, task.file.grab_m3, task.zones)
+    models = task.models or _models(task, job)
+    learned = learned_models(models, task.landing, task.loads)
+    planner = LoadPlanner(job.goal, job.field, learned, task.file.grab_m3, task.zones)
     present = replace(job.field, height_m=task.height_m)
-    return PlanAnswer(planner.next_loads(present, task.passed_m), model)
+    return PlanAnswer(planner.next_loads(present, task.passed_m), models)
 
 
-def _model(task: PlanTask, job: BulkJob) -> ThrowModel:
-    spec, height_m, grab_m3 = load_spec(), middle_height_m(job), task.file.grab_m3
-    if task.landing:
-        return measured_model(task.card, spec, job.material, task.landing, height_m, grab_m3)
+def _models(task: PlanTask, job: BulkJob) -> tuple[ThrowModel, ...]:
     # Imported here: the server's own process does not need the simulator.
-    from bulk.previewed_throws import previewed_model
+    from bulk.previewed_throws import previewed_models
 
-    return previewed_model(task.policy_dir, task.card, spec, job.material, height_m, grab_m3)
+    file, height_m = task.file, middle_height_m(job)
+    return previewed_models(
+        task.policies, load_spec(), job.material, height_m, file.grab_m3, file.pace_ratio
+    )
 
 
 def plan_in_child(task: PlanTask, is_cancelled: Callable[[], bool]) -> PlanAnswer:

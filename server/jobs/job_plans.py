@@ -9,7 +9,13 @@ from bulk.height_field import HeightField
 from bulk.job_file import JobFile
 from bulk.placement import middle_height_m
 from bulk.planner import LoadPlanner, PlannedLoad
-from bulk.throw_model import LandingScatter, ThrowModel, measured_model
+from bulk.throw_model import (
+    LandingScatter,
+    PolicyFolder,
+    ThrowModel,
+    learned_models,
+    measured_model,
+)
 from machine.conventions import Mode
 from machine.errors import DownrangeError
 from machine.messages import Target
@@ -18,7 +24,7 @@ from machine.site.objects import SiteObject
 from machine.spec import MachineSpec
 from server.child_process import ChildFailedError, ChildKilledError
 from server.clock import new_id
-from server.errors import ConflictError
+from server.errors import ApiError, ConflictError
 from server.job_queue import Job, JobQueue
 from server.jobs.job_ground import JobGround
 from server.jobs.job_planning import PlanLoads, PlanTask
@@ -39,12 +45,12 @@ USUAL_SCATTER: Final = LandingScatter(8.0, 0.15, 0.1)
 MODEL_COUNT: Final = 16
 
 
-class KeptModel(NamedTuple):
+class KeptModels(NamedTuple):
     """Throws that the last plan of a job was made with."""
 
     made_from: object
-    predicted: ThrowModel
-    learned: ThrowModel
+    predicted: tuple[ThrowModel, ...]
+    learned: tuple[ThrowModel, ...]
     """With what measured loads showed."""
 
 
@@ -77,7 +83,7 @@ class JobPlans:
         self._zones = zones
         self._spec = spec
         self._plan = plan
-        self._models: dict[str, KeptModel] = {}
+        self._models: dict[str, KeptModels] = {}
         """By job."""
         self.on_planned: list[Callable[[str, int, Planned], None]] = []
         """Called with job, its version, and what the plan gave."""
@@ -114,19 +120,40 @@ class JobPlans:
         aboard = {} if state is None else state.policy_sha256
         return self._policies.on_machine(mode, aboard.get(mode.value))
 
+    def policies(self, machine_id: str, file: JobFile) -> tuple[PolicyFolder, ...]:
+        """The versions that a job may be thrown with: of its mode, or of every mode that the machine has.
+
+        Raises:
+            ApiError: no such machine, or none that can be used.
+        """
+        if file.mode is not None:
+            return (_folder(self.policy(machine_id, Mode(file.mode))),)
+        found: list[PolicyFolder] = []
+        refused: list[ApiError] = []
+        for mode in Mode:
+            try:
+                found.append(_folder(self.policy(machine_id, mode)))
+            except ApiError as error:
+                refused.append(error)
+        if not found:
+            raise refused[0]
+        return tuple(found)
+
     def require_reachable(self, machine_id: str, file: JobFile, ground: JobGround) -> None:
         """Refuse a job that cannot be thrown at.
 
         Raises:
             UsageError: with the numbers.
         """
-        card = self.policy(machine_id, Mode(file.mode)).card
-        job = ground.job
-        model = measured_model(
-            card, self._spec, job.material, [USUAL_SCATTER], middle_height_m(job), file.grab_m3
-        )
+        job, height_m = ground.job, middle_height_m(ground.job)
+        models = [
+            measured_model(
+                one.card, self._spec, job.material, [USUAL_SCATTER], height_m, file.grab_m3
+            )
+            for one in self.policies(machine_id, file)
+        ]
         zones = self._zones.approved(machine_id).zones
-        LoadPlanner(job.goal, job.field, model, file.grab_m3, zones)
+        LoadPlanner(job.goal, job.field, models, file.grab_m3, zones)
 
     def moved(
         self, record: JobRecord, ground: JobGround, field: HeightField, to: JobProposal
@@ -144,7 +171,7 @@ class JobPlans:
         zones = self._zones.approved(row.machine_id).zones
         planner = LoadPlanner(ground.job.goal, ground.job.field, kept.learned, file.grab_m3, zones)
         load = planner.load_at(field, to.x_m, to.y_m, to.volume_m3)
-        return self._proposal(load, to.proposal_count, file, self._sites.objects(row.machine_id))
+        return self._proposal(load, to.proposal_count, self._sites.objects(row.machine_id))
 
     def _run(self, plan: OpenPlan) -> None:
         row = plan.record.row
@@ -160,19 +187,13 @@ class JobPlans:
 
     def _planned(self, plan: OpenPlan) -> Planned:
         record, row, file = plan.record, plan.record.row, plan.record.file
-        policy = self.policy(row.machine_id, Mode(file.mode))
+        policies = self.policies(row.machine_id, file)
+        stuff = plan.ground.job.material.name
         with self._database.read() as database:
-            landing = measured_scatter(
-                database, row.machine_id, file.mode, policy.card.policy_sha256
-            )
-            loads = measured_loads(
-                database,
-                row.machine_id,
-                file.mode,
-                policy.card.policy_sha256,
-                plan.ground.job.material.name,
-            )
-        key = (policy.card.policy_sha256, landing)
+            of = [(row.machine_id, one.card.mode, one.card.policy_sha256) for one in policies]
+            landing = {which[1]: measured_scatter(database, *which) for which in of}
+            loads = {which[1]: measured_loads(database, *which, stuff) for which in of}
+        key = tuple(one.card.policy_sha256 for one in policies)
         kept = self._models.get(row.job_id)
         answer = self._plan(
             PlanTask(
@@ -181,34 +202,33 @@ class JobPlans:
                 height_m=plan.field.height_m,
                 passed_m=tuple((float(x), float(y)) for x, y in row.passed_m),
                 zones=self._zones.approved(row.machine_id).zones,
-                policy_dir=policy.folder,
-                card=policy.card,
+                policies=policies,
                 landing=landing,
                 loads=loads,
-                model=None if kept is None or kept.made_from != key else kept.predicted,
+                models=None if kept is None or kept.made_from != key else kept.predicted,
             ),
             lambda: self._queue.must_end(plan),
         )
-        self._models[row.job_id] = KeptModel(key, answer.model, answer.model.learned(loads))
+        learned = learned_models(answer.models, landing, loads)
+        self._models[row.job_id] = KeptModels(key, answer.models, learned)
         while len(self._models) > MODEL_COUNT:
             self._models.pop(next(iter(self._models)))
         objects = self._sites.objects(row.machine_id)
         return Planned(
             PlanningState.READY if answer.loads else PlanningState.NOTHING_LEFT,
-            landing_by="measured" if landing or loads else "predicted",
+            landing_by="measured" if any((*landing.values(), *loads.values())) else "predicted",
             proposals=tuple(
-                self._proposal(load, number, file, objects)
+                self._proposal(load, number, objects)
                 for number, load in enumerate(answer.loads, start=1)
             ),
         )
 
     @staticmethod
-    def _proposal(
-        load: PlannedLoad, number: int, file: JobFile, objects: Sequence[SiteObject]
-    ) -> JobProposal:
+    def _proposal(load: PlannedLoad, number: int, objects: Sequence[SiteObject]) -> JobProposal:
         return JobProposal(
             proposal_count=number,
-            mode=Mode(file.mode),
+            mode=load.mode,
+            pace_ratio=load.pace_ratio,
             x_m=load.x_m,
             y_m=load.y_m,
             z_m=target_height_m(objects, load),
@@ -217,6 +237,10 @@ class JobPlans:
             spill_ratio=load.spill_ratio,
             sentence=load.sentence,
         )
+
+
+def _folder(policy: StoredPolicy) -> PolicyFolder:
+    return PolicyFolder(policy.folder, policy.card)
 
 
 def target_height_m(objects: Sequence[SiteObject], load: PlannedLoad) -> float:

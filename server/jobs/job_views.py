@@ -8,7 +8,7 @@ from pydantic import Base64Bytes, Field, model_validator
 
 from bulk.job_file import ContainerPlace, JobFile
 from bulk.material import Material
-from machine.conventions import LINE_PATTERN, Mode
+from machine.conventions import DEFAULT_PACE_RATIO, LINE_PATTERN, Mode
 from server.schemas.console import Request, View
 
 MAX_SURVEY_LENGTH = 6_000_000
@@ -142,6 +142,7 @@ class JobProposal(View):
     proposal_count: int
     """Its number, from 1."""
     mode: Mode
+    pace_ratio: float = DEFAULT_PACE_RATIO
     x_m: float
     y_m: float
     z_m: float

@@ -12,7 +12,6 @@ from pydantic import JsonValue
 from sqlalchemy import select
 
 from bulk.job_file import material_of
-from machine.conventions import Mode
 from machine.errors import UsageError
 from machine.messages import Target
 from machine.site.thrown_material import ThrownMaterial
@@ -174,8 +173,8 @@ class Jobs:
         """
         record = self._book.read(job_id)
         try:
-            mode = Mode(record.file.mode)
-            policy_id = self.plans.policy(record.row.machine_id, mode).card.policy_id
+            policies = self.plans.policies(record.row.machine_id, record.file)
+            policy_id = " and ".join(one.card.policy_id for one in policies)
         except ApiError:
             policy_id = "none"
         return thrown_job_html(

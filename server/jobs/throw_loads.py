@@ -248,7 +248,7 @@ def _measured_load(throw: Throw, lies: MaterialFootprint) -> MeasuredLoad:
     turn = turned(math.atan2(throw.target_y_m, throw.target_x_m))
     along, across = np.diagonal(turn.T @ np.array([[xx, xy], [xy, yy]]) @ turn).tolist()
     error_m = throw.measured_downrange_error_m or 0.0, throw.measured_crossrange_error_m or 0.0
-    return MeasuredLoad(throw.range_m, error_m, (along, across))
+    return MeasuredLoad(throw.range_m, throw.pace_ratio, error_m, (along, across))
 
 
 def scatter_by_range(throws_m: Array) -> tuple[LandingScatter, ...]:

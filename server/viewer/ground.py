@@ -137,7 +137,8 @@ class GroundNodes:
         if len(material.faces):
             self._lay_material(material)
         for index, load in enumerate(material.next_loads):
-            x_m, y_m, z_m = load.at_m
+            # On the machine's side: a target there has its label on the far one.
+            inward = shapes.beside(load.at_m, -LABEL_AWAY_M, LABEL_AWAY_M)
             self._material += [
                 self._sheet(
                     f"/next_loads/{index}",
@@ -149,7 +150,7 @@ class GroundNodes:
                 self._scene.add_label(
                     f"/next_loads/{index}/label",
                     load.text,
-                    position=(x_m, y_m, z_m + LABEL_AWAY_M),
+                    position=tuple(np.add(load.at_m, inward).tolist()),
                     font_screen_scale=1.0,
                     anchor="bottom-center",
                 ),

@@ -151,7 +151,7 @@ class MarkNodes:
             nodes.append(self._lines("/impacts/latest", newest, theme.measured, 3.0, lift))
             if marks.latest_text:
                 # On the machine's side of its cross: the target's own label is on the far side.
-                dx, dy, dz = _beside(marks.latest, -LABEL_AWAY_M, -0.1)
+                dx, dy, dz = shapes.beside(marks.latest, -LABEL_AWAY_M, -0.1)
                 at = (marks.latest[0] + dx, marks.latest[1] + dy, marks.latest[2] + dz)
                 name = "/impacts/latest_label"
                 nodes.append(self._label(name, marks.latest_text, at, anchor="top-center"))
@@ -164,7 +164,7 @@ class MarkNodes:
             return
         x, y, z = state.target_m
         text = shapes.range_label(state.target_m)
-        outward = _beside(state.target_m, LABEL_AWAY_M, 0.3)
+        outward = shapes.beside(state.target_m, LABEL_AWAY_M, 0.3)
         if nodes:
             frame, label = nodes
             if isinstance(label, viser.LabelHandle):
@@ -219,9 +219,3 @@ class MarkNodes:
                 nodes.append(self._flat(f"{name}_fill", area, theme.accent, fill, at))
             nodes.append(self._lines(name, shapes.polyline(outline), theme.accent, 1.6, at))
         return nodes
-
-
-def _beside(point_m: Point, away_m: float, up_m: float) -> Point:
-    """Offset from a point by a distance away from the slew axis, and up."""
-    range_m = max(math.hypot(point_m[0], point_m[1]), 1e-6)
-    return away_m * point_m[0] / range_m, away_m * point_m[1] / range_m, up_m

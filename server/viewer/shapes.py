@@ -164,6 +164,14 @@ def fan(outline_m: Array) -> Mesh:
     return vertices, faces.astype(np.uint32)
 
 
+def beside(
+    point_m: tuple[float, float, float], away_m: float, up_m: float
+) -> tuple[float, float, float]:
+    """Offset from a point by a distance away from the slew axis, and up."""
+    range_m = max(math.hypot(point_m[0], point_m[1]), 1e-6)
+    return away_m * point_m[0] / range_m, away_m * point_m[1] / range_m, up_m
+
+
 def range_label(target_m: tuple[float, float, float]) -> str:
     """Range and bearing of a target as the operator reads them: ``9.00 m, 12.3° left``."""
     range_m = math.hypot(target_m[0], target_m[1])

@@ -21,6 +21,7 @@ from tests.cases import each
 POLICIES = str(Path(__file__).parents[2] / "policies")
 JOB: dict[str, Any] = {
     "name": "small <truck>",
+    "mode": "2d",
     "material": "gravel",
     "grab_m3": 0.3,
     "area": {"x_min_m": 6.0, "x_max_m": 10.0, "y_min_m": -2.0, "y_max_m": 2.0},

@@ -20,11 +20,19 @@ def test_an_unknown_effect_is_placed_in_words() -> None:
         best=best,
     )
     causes = (Cause(effects=(), probability=0.9, name="unknown"),)
-    gap = Gap(impact_rms_m=0.5, downrange_bias_m=0.5, crossrange_bias_m=0.0)
-    sentence = sentence_of(VerdictKind.UNKNOWN, causes, gap, None, cast("Ranked", ranked), None)
-    assert sentence == (
-        "The twin's replay misses by 0.50 m. Something unknown in flight: the best known cause leaves the "
-        "flight of the load 12 standard deviations above a healthy machine."
+    gap = Gap(impact_rms_m=0.5, healthy_rms_m=0.1, downrange_bias_m=0.5, crossrange_bias_m=0.0)
+    sentences = [
+        sentence_of(VerdictKind.UNKNOWN, causes, one, None, cast("Ranked", ranked), None)
+        for one in (gap, gap.model_copy(update={"healthy_rms_m": None}))
+    ]
+    begins = (
+        "Something unknown in flight: the best known cause leaves the flight of the load 12 standard "
+        "deviations above "
+    )
+    assert sentences[0].endswith(f"{begins}a healthy machine.")
+    assert sentences[1] == (
+        f"The twin's replay misses by 0.50 m. {begins}the twin; only reference throws tell whether this "
+        "machine was ever otherwise."
     )
 
 

@@ -157,3 +157,10 @@ def test_a_deeply_nested_card_is_refused(folder):
     (folder / CARD_FILE).write_text('{"evaluation": ' + "[" * 100_000)
     with pytest.raises(PolicyError, match="is not a policy card"):
         load_card(folder)
+
+
+def test_a_card_in_another_encoding_is_refused(folder):
+    text = (folder / CARD_FILE).read_text(encoding="utf-8")
+    (folder / CARD_FILE).write_bytes(text.encode("utf-16"))
+    with pytest.raises(PolicyError, match="is no text in UTF-8"):
+        load_card(folder)

@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bulk.job_file import JobFile
+from bulk.job_file import JobFile, material_of
 from bulk.placement import LandedLoad
-from bulk.throw_model import LandingScatter
+from bulk.throw_model import LandingScatter, PolicyFolder, measured_model
+from machine.conventions import Mode
 from machine.messages import Target
 from machine.policy_card import load_card
 from machine.site.objects import SiteObject
@@ -43,6 +44,8 @@ from tests.waiting import wait_for
 BED = {"x_m": 8.0, "y_m": 0.0, "length_m": 2.0, "width_m": 1.6}
 FILE = {
     "name": "truck 7",
+    "mode": "2d",
+    "pace_ratio": 0.0,
     "material": "gravel",
     "grab_m3": 0.2,
     "area": {"x_min_m": 6.0, "x_max_m": 10.0, "y_min_m": -2.0, "y_max_m": 2.0},
@@ -53,7 +56,12 @@ BOX = SiteObject(name="truck", kind="box", height_m=0.3, **BED)
 
 
 def quick_plan(task, _is_cancelled):
-    return planned_loads(replace(task, landing=task.landing or (LandingScatter(8.0, 0.05, 0.05),)))
+    scatter, stuff = [LandingScatter(8.0, 0.05, 0.05)], material_of(task.file)
+    models = [
+        measured_model(one.card, load_spec(), stuff, scatter, 0.5, task.file.grab_m3)
+        for one in task.policies
+    ]
+    return planned_loads(replace(task, models=task.models or tuple(models)))
 
 
 class Yard:
@@ -379,11 +387,10 @@ def test_a_process_of_its_own_plans_alike_and_says_what_cannot_be_done():
         height_m=JobGround(file, None, load_spec()).job.field.height_m,
         passed_m=((8.0, 0.0),),
         zones=(),
-        policy_dir=folder,
-        card=load_card(folder),
-        landing=(LandingScatter(8.0, 0.05, 0.05),),
-        loads=(),
-        model=None,
+        policies=(PolicyFolder(folder, load_card(folder)),),
+        landing={Mode.PLANAR: (LandingScatter(8.0, 0.05, 0.05),)},
+        loads={},
+        models=None,
     )
     assert plan_in_child(task, lambda: False).loads == planned_loads(task).loads
     with pytest.raises(

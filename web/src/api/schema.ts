@@ -3768,12 +3768,8 @@ export interface components {
             loose?: components["schemas"]["RectanglePlace"] | null;
             /** Material */
             material: string | components["schemas"]["Material"];
-            /**
-             * Mode
-             * @default 2d
-             * @enum {string}
-             */
-            mode: "2d" | "3d";
+            /** Mode */
+            mode?: ("2d" | "3d") | null;
             /** Name */
             name: string;
             /**
@@ -3781,6 +3777,8 @@ export interface components {
              * @default []
              */
             objects: components["schemas"]["SiteObject"][];
+            /** Pace Ratio */
+            pace_ratio?: number | null;
             /** Survey */
             survey?: string | null;
             /** Work */
@@ -3896,6 +3894,11 @@ export interface components {
          */
         JobProposal: {
             mode: components["schemas"]["Mode"];
+            /**
+             * Pace Ratio
+             * @default 0
+             */
+            pace_ratio: number;
             /** Proposal Count */
             proposal_count: number;
             /** Sentence */

@@ -75,6 +75,7 @@ export function useOperate() {
     isFree: !isRunning && hold.phase === "idle",
     chooseMachine,
     setMode,
+    setPace,
     setTarget: (next, inMode) => void aim.set(next, inMode),
   });
 

@@ -34,7 +34,7 @@ export function NewJobDialog({ machine, objects, onStarted, onClose }: Props) {
   const choices = goalChoices(objects, survey !== null);
   const first = (goal?: string) => {
     const found = choices.find(({ value }) => value === goal) ?? choices[0];
-    return found ? firstForm(found, modes, machine.target ?? null) : null;
+    return found ? firstForm(found, machine.target ?? null) : null;
   };
   const [form, setForm] = useState(first);
   const start = useStartJob();
@@ -63,7 +63,7 @@ export function NewJobDialog({ machine, objects, onStarted, onClose }: Props) {
   const field = start.error ? fieldOf(start.error) : null;
   const errorAt = (name: string) =>
     field === name && start.error ? errorWords(start.error) : undefined;
-  const reach = modes.find((one) => one.mode === form.mode);
+  const reached = modes.filter((one) => form.mode === null || one.mode === form.mode);
   const number = (label: string, name: keyof JobForm, suffix: string, limits: object) => (
     <NumberInput
       size="md"
@@ -129,17 +129,18 @@ export function NewJobDialog({ machine, objects, onStarted, onClose }: Props) {
         <SegmentedControl
           aria-label="How to throw"
           data={[
+            { value: "best", label: "Best for each load" },
             { value: "2d", label: "2D arm plane" },
             { value: "3d", label: "3D with cabin" },
           ]}
-          value={form.mode}
-          onChange={(mode) => set({ mode: mode as "2d" | "3d" })}
+          value={form.mode ?? "best"}
+          onChange={(mode) => set({ mode: mode === "2d" || mode === "3d" ? mode : null })}
         />
-        {reach && (
-          <p className={classes.note}>
+        {reached.map((reach) => (
+          <p key={reach.mode} className={classes.note}>
             {reachWords(reach)} {loadReachWords(reach, grabKg(form))}
           </p>
-        )}
+        ))}
         <FileInput
           size="md"
           label="Survey of the ground"

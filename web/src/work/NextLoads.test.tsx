@@ -18,6 +18,7 @@ vi.mock("@tanstack/react-router", () => ({
 const proposal = (proposal_count: number) => ({
   proposal_count,
   mode: "3d",
+  pace_ratio: 0.5,
   x_m: 8,
   y_m: 6,
   z_m: 1.2,
@@ -62,16 +63,18 @@ beforeAll(stubResizeObserver);
 afterEach(cleanup);
 
 describe("the next loads", () => {
-  it("are aimed at in Operate, with mode, place and height", () => {
+  it("are aimed at in Operate, with mode, pace, place and height", () => {
     show();
     const aim = screen.getAllByText("Aim")[1]?.closest("a");
     expect(JSON.parse(aim?.dataset.search ?? "")).toEqual({
       machine: "m001",
       mode: "3d",
+      pace: 0.5,
       range: 10,
       azimuth: 36.87,
       height: 1.2,
     });
+    expect(screen.getAllByText(/3D, balanced/)).toHaveLength(2);
   });
 
   it("are skipped, and moved to the place that was typed", () => {

@@ -2,6 +2,7 @@ import { Button, NumberInput, Progress } from "@mantine/core";
 import { Link } from "@tanstack/react-router";
 import { useState } from "react";
 import { aimSearch } from "../operate/target/aimAddress";
+import { paceWord } from "../operate/target/pace";
 import { fromPoint } from "../operate/target/target";
 import { errorWords } from "../words/errors";
 import { bearingWords, heightWords, metres } from "../words/format";
@@ -93,7 +94,7 @@ type ItemProps = {
 
 function ProposalItem(props: ItemProps) {
   const { job, proposal, mayEdit, isBusy, isMoving, problem, onSkip, onMoving, onPlace } = props;
-  const { proposal_count, mode, x_m, y_m, z_m, sentence } = proposal;
+  const { proposal_count, mode, pace_ratio, x_m, y_m, z_m, sentence } = proposal;
   const target = fromPoint(x_m, y_m, z_m);
   return (
     <li className={classes.proposal} data-proposal={proposal_count}>
@@ -103,7 +104,8 @@ function ProposalItem(props: ItemProps) {
       <div>
         <p className={classes.sentence}>{reasonWords(sentence)}</p>
         <p className={classes.note}>
-          {mode.toUpperCase()}, {metres(target.range_m)}, {bearingWords(target.azimuth_rad)}
+          {mode.toUpperCase()}, {paceWord(pace_ratio)}, {metres(target.range_m)},{" "}
+          {bearingWords(target.azimuth_rad)}
           {heightWords(z_m)}
         </p>
         {mayEdit && (
@@ -113,7 +115,11 @@ function ProposalItem(props: ItemProps) {
               variant={proposal_count === 1 ? "filled" : "default"}
               aria-label={`Aim at load ${proposal_count}`}
               renderRoot={(root) => (
-                <Link to="/operate" search={aimSearch(job.machine_id, mode, target)} {...root} />
+                <Link
+                  to="/operate"
+                  search={{ ...aimSearch(job.machine_id, mode, target), pace: pace_ratio }}
+                  {...root}
+                />
               )}
             >
               Aim

@@ -10,7 +10,6 @@ import {
   jobFile,
   loadReachRatio,
   loadReachWords,
-  modeFor,
 } from "./goal";
 
 const object = (change: Partial<SiteObject>) =>
@@ -34,15 +33,10 @@ const PIT = object({
   width_m: 2.4,
   height_m: 0.8,
 });
-const MODES = [
-  { mode: "2d" as const, height_min_m: 0, height_max_m: 0 },
-  { mode: "3d" as const, height_min_m: -1, height_max_m: 3 },
-];
-
 function fileOf(value: string, survey: string | null = null) {
   const choice = goalChoices([BED, PIT], survey !== null).find((one) => one.value === value);
   if (!choice) throw new Error(`no goal ${value}`);
-  return jobFile(firstForm(choice, MODES, null), choice, survey);
+  return jobFile(firstForm(choice, null), choice, survey);
 }
 
 describe("a new job", () => {
@@ -52,13 +46,13 @@ describe("a new job", () => {
     expect(values(false)).toEqual(["truck:truck bed", "pit:pit", "pile"]);
     expect(values(true)).toEqual([...values(false), "trench", "clear:truck bed"]);
     expect(goalChoices([], false).map((one) => one.value)).toEqual(["pile"]);
-    const names = goalChoices([BED], true).map((one) => firstForm(one, MODES, null).name);
+    const names = goalChoices([BED], true).map((one) => firstForm(one, null).name);
     expect(names).toEqual(["truck bed", "pile", "trench", "truck bed"]);
   });
 
   it("fills the inside of a bed from its top to its walls, on ground around it", () => {
     const file = fileOf("truck:truck bed");
-    expect(file.mode).toBe("3d");
+    expect(file.mode).toBeNull();
     expect(file.containers).toEqual([
       {
         name: "truck bed",
@@ -83,13 +77,6 @@ describe("a new job", () => {
     expect(clear.area).toBeUndefined();
     expect(clear.work).toMatchObject({ kind: "clear", container: "truck bed", heap: clear.loose });
   });
-
-  it("throws with a mode that reaches the height", () => {
-    expect(modeFor(1.8, MODES)).toBe("3d");
-    expect(modeFor(0, MODES)).toBe("2d");
-    expect(modeFor(9, MODES)).toBe("2d");
-    expect(modeFor(0, [])).toBe("2d");
-  });
 });
 
 describe("a goal", () => {
@@ -109,7 +96,7 @@ describe("reach with a load", () => {
     expect(loadReachRatio("2d", 0)).toBe(1);
     expect(loadReachRatio("2d", 475)).toBeCloseTo(0.9, 6);
     expect(loadReachRatio("2d", 5000)).toBeNull();
-    const reach = { mode: "2d" as const, height_min_m: 0, height_max_m: 0, range_max_m: 10 };
+    const reach = { mode: "2d" as const, range_max_m: 10 };
     expect(loadReachWords(reach, 380)).toBe("With 380 kg it reaches 9.25 m on the ground.");
     expect(loadReachWords(reach, 5000)).toContain("take a smaller grab");
   });

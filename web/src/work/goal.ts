@@ -13,7 +13,8 @@ export type GoalChoice = { value: string; label: string; kind: GoalKind; item: S
 export type JobForm = {
   name: string;
   goal: string;
-  mode: "2d" | "3d";
+  /** Null: the planner chooses for each load. */
+  mode: "2d" | "3d" | null;
   material: string;
   grab_m3: number;
   wall_m: number;
@@ -68,7 +69,7 @@ export function goalChoices(objects: readonly SiteObject[], hasSurvey: boolean):
 /** Whether a goal fills a bed up to its walls. */
 export const fillsBed = (kind: GoalKind) => kind === "truck" || kind === "clear";
 
-type Reach = { mode: "2d" | "3d"; height_min_m: number; height_max_m: number };
+type Reach = { mode: "2d" | "3d"; range_max_m: number };
 
 /** Share of a policy's reach that a load is thrown to; null beyond the masses that were thrown. */
 export function loadReachRatio(mode: "2d" | "3d", load_kg: number): number | null {
@@ -82,33 +83,22 @@ export function loadReachRatio(mode: "2d" | "3d", load_kg: number): number | nul
 }
 
 /** "With 380 kg it reaches 9.25 m on the ground." */
-export function loadReachWords(reach: Reach & { range_max_m: number }, load_kg: number): string {
+export function loadReachWords(reach: Reach, load_kg: number): string {
   const share = loadReachRatio(reach.mode, load_kg);
   const load = `With ${fixed(load_kg, 0)} kg`;
   if (share === null) return `${load} nothing is thrown: take a smaller grab.`;
   return `${load} it reaches ${metres(share * reach.range_max_m)} on the ground.`;
 }
 
-/** A mode whose policy was trained for a height; else the first. */
-export function modeFor(height_m: number, modes: readonly Reach[]): "2d" | "3d" {
-  const able = modes.filter((one) => height_m >= one.height_min_m && height_m <= one.height_max_m);
-  return (able[0] ?? modes[0])?.mode ?? "2d";
-}
-
-/** Height that the last loads are thrown at. */
-const goalHeight = ({ kind, item }: GoalChoice) =>
-  item && fillsBed(kind) ? topOf(item) + FIRST_WALL_M : 0;
-
 /** What the dialog opens with, and what it takes on where another goal is chosen. */
 export function firstForm(
   choice: GoalChoice,
-  modes: readonly Reach[],
   at: { range_m: number; azimuth_rad: number } | null,
 ): JobForm {
   return {
     name: choice.item?.name ?? choice.kind,
     goal: choice.value,
-    mode: modeFor(goalHeight(choice), modes),
+    mode: null,
     material: "gravel",
     grab_m3: 0.25,
     wall_m: FIRST_WALL_M,

@@ -12,6 +12,11 @@ test("an address holds machine, mode and target, and gives them back", () => {
   expect(target?.z_m).toBe(1.2);
 });
 
+test("a pace outside of 0 to 1 is left out", () => {
+  expect(parseAim({ pace: "0.5" }).pace).toBe(0.5);
+  expect(parseAim({ pace: 1.2 })).toEqual({});
+});
+
 test("a target on the ground needs no height, and none no range", () => {
   expect(aimSearch("m001", "2d", fromPolar(9, 0, 0))).not.toHaveProperty("height");
   expect(aimSearch("m001", "2d", null)).toEqual({ machine: "m001", mode: "2d" });

@@ -1,4 +1,4 @@
-/** Machine, mode and target in the address of page Operate; anything unreadable is left out. */
+/** Machine, mode, pace and target in the address of page Operate; anything unreadable is left out. */
 
 import { fromPolar, type Target } from "./target";
 
@@ -6,6 +6,7 @@ import { fromPolar, type Target } from "./target";
 export type AimSearch = {
   machine?: string;
   mode?: "2d" | "3d";
+  pace?: number;
   range?: number;
   azimuth?: number;
   height?: number;
@@ -29,6 +30,7 @@ export function parseAim(search: Record<string, unknown>): AimSearch {
       ? String(machine) || undefined
       : undefined,
     mode: mode === "2d" || mode === "3d" ? mode : undefined,
+    pace: within(search.pace, 0, 1),
     range,
     azimuth: range === undefined ? undefined : within(search.azimuth, -180, 180),
     height: range === undefined ? undefined : within(search.height, HEIGHT_M.min, HEIGHT_M.max),

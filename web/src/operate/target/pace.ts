@@ -4,8 +4,9 @@
 export const DEFAULT_PACE_RATIO = 0;
 export const PACE_STEP = 0.05;
 
+export const paceWord = (pace_ratio: number): string =>
+  pace_ratio < 0.375 ? "careful" : pace_ratio > 0.625 ? "fast" : "balanced";
+
 /** "0.25, careful": the number with a word for it. */
-export function paceWords(pace_ratio: number): string {
-  const word = pace_ratio < 0.375 ? "careful" : pace_ratio > 0.625 ? "fast" : "balanced";
-  return `${pace_ratio.toFixed(2)}, ${word}`;
-}
+export const paceWords = (pace_ratio: number): string =>
+  `${pace_ratio.toFixed(2)}, ${paceWord(pace_ratio)}`;

@@ -15,6 +15,7 @@ import { useAimAddress } from "./useAimAddress";
 const target = fromPolar(8, 0, 0);
 const setTarget = vi.fn();
 const setMode = vi.fn();
+const setPace = vi.fn();
 
 function Operate() {
   useAimAddress({
@@ -24,6 +25,7 @@ function Operate() {
     isFree: true,
     chooseMachine: () => undefined,
     setMode,
+    setPace,
     setTarget,
   });
   return null;

@@ -17,6 +17,7 @@ type Aim = {
   isFree: boolean;
   chooseMachine: (machineId: string) => void;
   setMode: (mode: "2d" | "3d") => void;
+  setPace: (pace_ratio: number) => void;
   setTarget: (target: Target, mode: "2d" | "3d") => void;
 };
 
@@ -43,6 +44,7 @@ export function useAimAddress(aim: Aim): void {
     if (!isFree || (wish.machine && wish.machine !== machineId)) return;
     const wishMode = wish.mode ?? latest.current.mode;
     if (wishMode !== latest.current.mode) latest.current.setMode(wishMode);
+    if (wish.pace !== undefined) latest.current.setPace(wish.pace);
     const point = targetOf(wish);
     if (point && !isSameTarget(point, latest.current.target))
       latest.current.setTarget(point, wishMode);
