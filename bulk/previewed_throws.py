@@ -1,4 +1,4 @@
-"""Throws of policies as their previews in the nominal twin show them: scatter and releases by range."""
+"""Throws of policies with a material: releases by range from previews in the nominal twin."""
 
 import math
 from collections.abc import Sequence
@@ -8,7 +8,7 @@ import numpy as np
 
 from bulk.footprint import GripRelease
 from bulk.material import Material
-from bulk.throw_model import LandingScatter, PolicyFolder, ThrowModel, make_model
+from bulk.throw_model import LandingScatter, PolicyFolder, ThrowModel, load_miss_m, make_model
 from machine.calibration import nominal_calibration
 from machine.conventions import DEFAULT_PACE_RATIO, Mode
 from machine.errors import UsageError
@@ -20,13 +20,11 @@ from machine.spec import MachineSpec
 from machine.starts import safe_pose
 from runtime.control.control_loop import ControlParams
 from runtime.control.policy import PolicyRunner, find_policy, is_paced
-from sim_twin.throws.preview import FRAME_PERIOD_S, PreviewRequest, ThrowPreview, preview
+from sim_twin.throws.preview import FRAME_PERIOD_S, PreviewRequest, ThrowPreview, nominal_throw
 from sim_twin.twin.profile import nominal_profile
 
-RANGE_COUNT = 2
+RANGE_COUNT = 3
 """Ranges at which a policy's throws are previewed; between them covariances are interpolated."""
-PREVIEW_THROW_COUNT = 24
-"""Enough: grains of a load spread five times as far as its landings scatter."""
 PACES = (0.0, 1.0)
 """Paces that the planner chooses from."""
 
@@ -56,7 +54,7 @@ def previewed_models(
     among: Sequence[PolicyFolder], spec: MachineSpec, material: Material, height_m: float,
     grab_m3: float, pace_ratio: float | None = None,
 ) -> tuple[ThrowModel, ...]:  # fmt: skip
-    """Models of policies from previews in the nominal twin, thrown to a height (2 to 3 s each).
+    """Models of policies from previews in the nominal twin, thrown to a height (about 1 s each).
 
     Args:
         among: policies.
@@ -97,23 +95,23 @@ def _previewed(
     )
     pose = safe_pose(0.0)
     nearest = max(card.target_range_min_m, MIN_RANGE_M[card.mode])
+    miss_m = load_miss_m(card.mode, pace_ratio, material.mass_kg(grab_m3))
     scatter: list[LandingScatter] = []
     releases: list[GripRelease] = []
     release_s: list[float] = []
     for range_m in np.linspace(nearest, reach_m(card, height_m), RANGE_COUNT + 2)[1:-1].tolist():
-        shown = preview(
+        shown = nominal_throw(
             PreviewRequest(
                 params=params,
                 profile=nominal_profile(spec),
                 target=Target(x_m=range_m, y_m=0.0, z_m=height_m),
                 joint_position_rad_m=(pose[0], pose[1], pose[2], pose[3], pose[4], pose[5]),
-                rollout_count=PREVIEW_THROW_COUNT,
+                rollout_count=0,
                 pace_ratio=pace_ratio,
             )
         )
-        if shown.impact_m is not None and shown.ellipse is not None:
-            ellipse = shown.ellipse
-            scatter.append(LandingScatter(range_m, ellipse.sd_downrange_m, ellipse.sd_crossrange_m))
+        if shown.impact_m is not None:
+            scatter.append(LandingScatter(range_m, *miss_m))
             releases.append(release_of(shown, spec))
             release_s.append(shown.release_s)
     if not scatter:

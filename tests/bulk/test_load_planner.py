@@ -1,3 +1,4 @@
+import json
 import math
 import re
 from dataclasses import replace
@@ -17,6 +18,7 @@ from bulk.throw_model import (
     MeasuredLoad,
     ThrowModel,
     learned_models,
+    load_miss_m,
     measured_model,
 )
 from machine.conventions import Mode
@@ -25,7 +27,8 @@ from machine.policy_card import load_card
 from machine.site.zones import Zone
 from machine.spec import load_spec
 
-POLICIES = Path(__file__).parents[2] / "policies"
+ROOT = Path(__file__).parents[2]
+POLICIES, RESULTS = ROOT / "policies", ROOT / "benchmarks" / "results"
 CARD = load_card(POLICIES / "m545-2d-v7")
 CARD_3D = load_card(POLICIES / "m545-3d-v7")
 GRID = make_grid((4.0, 12.0), (-3.0, 3.0), 0.1)
@@ -92,10 +95,25 @@ def test_loads_of_its_own_pace_teach_a_model_more_than_others():
     assert ratios[0] == pytest.approx(1.0) and ratios[1] > 3.0
     (other,) = learned_models([fast], {}, {Mode.PLANAR: loads[:1]})
     assert other.grain_variance_m2()[0] == pytest.approx(grains)
-    scatter = {Mode.PLANAR: [LandingScatter(7.0, 0.1, 0.05)]}
+    usual_m = load_miss_m(Mode.PLANAR, 0.0, 0.0)
+    scatter = {Mode.PLANAR: [LandingScatter(7.0, 2.0 * usual_m[0], usual_m[1])]}
     (wide,) = learned_models([slow], scatter, {})
     assert wide.landing_sd_m(7.0) == pytest.approx((0.1, 0.05))
     assert wide.landing_sd_m(10.0) == pytest.approx((0.2, 0.05))
+
+
+def test_expected_misses_are_those_that_were_measured():
+    rows = json.loads((RESULTS / "load_scatter.json").read_text(encoding="utf-8"))["rows"]
+    assert len(rows) == 16
+    for row in rows:
+        labels, values = row["labels"], row["values"]
+        mass_kg = 0.0 if labels["mass"] == "ball" else float(labels["mass"].removesuffix(" kg"))
+        known = load_miss_m(Mode(labels["mode"].lower()), float(labels["pace"]), mass_kg)
+        found = [values[f"rms_{axis}_m"]["value"] for axis in ("downrange", "crossrange")]
+        assert known == pytest.approx(found, abs=0.006), labels
+    slow, fast = (load_miss_m(Mode.SPATIAL, pace, 380.0)[0] for pace in (0.0, 1.0))
+    assert load_miss_m(Mode.SPATIAL, 0.5, 380.0)[0] == pytest.approx(0.5 * (slow + fast))
+    assert load_miss_m(Mode.SPATIAL, 0.0, 2000.0) == load_miss_m(Mode.SPATIAL, 0.0, 570.0)
 
 
 def test_out_of_reach_and_zones_are_refused_with_numbers():

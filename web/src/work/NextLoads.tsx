@@ -66,7 +66,7 @@ export function NextLoads({ job, mayEdit, change, moving, onMoving }: Props) {
         <p className={classes.note}>
           {job.landing_by === "measured"
             ? "Spill is reckoned with the scatter of this machine's measured throws."
-            : "Spill is reckoned with the scatter that the twin predicts."}
+            : "Spill is reckoned with the scatter of virtual machines until loads are measured."}
           {!mayEdit && " Your role may look. Operators aim, skip and move."}
         </p>
       )}
