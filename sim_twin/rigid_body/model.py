@@ -1,5 +1,6 @@
 """The twin's MuJoCo model, derived from machine/m545.xml."""
 
+import logging
 from copy import copy
 from functools import cache
 
@@ -15,6 +16,16 @@ from machine.conventions import (
 )
 from machine.errors import PlantError
 from machine.spec import MJCF_PATH, load_spec
+
+logger = logging.getLogger(__name__)
+
+
+def _note_warning(text: str) -> None:
+    logger.warning("MuJoCo: %s", text.strip())
+
+
+# Left to itself MuJoCo writes MUJOCO_LOG.TXT into the current folder. Who steps a model checks its numbers.
+mujoco.set_mju_user_warning(_note_warning)
 
 DRIVE_INERTIA = 1e9
 """Rotor inertia (kg m2, telescope kg) that makes a drive a velocity source: the arm's 70 kN m accelerate it

@@ -1,7 +1,9 @@
 """The twin against physics that can be written down: pendulum, lag, clock, ballistics, determinism."""
 
 import math
+from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -14,6 +16,7 @@ from machine.kinematics import hanging_pitch_rad
 from machine.spec import load_spec
 from machine.starts import safe_pose
 from runtime.driver import SimulatedDriver, ValveCommand
+from sim_twin.rigid_body.model import twin_model
 from sim_twin.twin.profile import TwinProfile, exact_profile, nominal_profile
 from sim_twin.twin.twin import Twin
 from tests.cases import each
@@ -438,3 +441,15 @@ def test_the_plant_factory_gives_the_nominal_twin_only() -> None:
         Twin.for_plant(count=2, unit_seed=3)
     with pytest.raises(UsageError, match="at least 1 machine"):
         Twin.for_plant(count=0, unit_seed=0)
+
+
+def test_what_mujoco_warns_of_is_logged_and_leaves_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    model = twin_model()[0]
+    data = mujoco.MjData(model)
+    data.qvel[0] = np.nan
+    mujoco.mj_step(model, data)
+    assert "unstable" in caplog.text
+    assert list(tmp_path.iterdir()) == []
