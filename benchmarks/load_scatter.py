@@ -73,6 +73,7 @@ def thrown(
         measured = plant.read().impact_covariance_m2
         if measured is not None:
             expected = np.stack([model.at_range(model.grain_variance_m2(), r) for r in ranges])
+            # Targets lie ahead: variances along x and y are those downrange and crossrange.
             ratio = measured[:, [0, 2]] / expected
     return Landed(error[landed], ratio[landed])
 

@@ -134,7 +134,7 @@ class JobFile(_Strict):
     """Boxes, pits and piles that do not move."""
     zones: Zones = ()
     landing: tuple[ScatterEntry, ...] = Field(default=(), max_length=40)
-    """Measured on this machine with `mode`; left out: predicted in the twin."""
+    """Measured on this machine with `mode`; left out: that of virtual machines."""
 
     @model_validator(mode="after")
     def _check_ground(self) -> "JobFile":

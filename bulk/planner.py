@@ -6,7 +6,7 @@ there improves the surface most in the time that it takes. Loads are predicted b
 (`bulk.predicted_loads`); a plan is made again after every load, from the surface that is there.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -216,7 +216,7 @@ class LoadPlanner:
         range_m = np.array([np.hypot(x_m, y_m)])
         self._refuse_unreachable("the place", range_m, np.array([height]), is_free, volume_m3)
         tried = self._tried(field.height_m, x_m, y_m, volume_m3)
-        best = min(tried, key=lambda index: tried[index].cost * self._speed_ratio[index])
+        best = self._best_of(tried)
         effect = tried[best]
         return self._described(
             field.height_m, (x_m, y_m), volume_m3, effect.spill_ratio, effect.cost, best
@@ -267,7 +267,7 @@ class LoadPlanner:
         self, height_m: Array, place_m: tuple[float, float], volume_m3: float, spill_ratio: float,
         cost: float, model: int,
     ) -> PlannedLoad:  # fmt: skip
-        """A load with what is missing there, and what it would be thrown otherwise."""
+        """A load, with what is missing at its place and what other ways of throwing it would do."""
         x_m, y_m = place_m
         row, column = self._grid.cell_of(x_m, y_m)
         way = self._models[model]
@@ -302,6 +302,14 @@ class LoadPlanner:
                 found[index] = _Tried(float(effects.cost[0, 0]), float(effects.spill_ratio[0, 0]))
         return found
 
+    def _best_of(self, tried: Mapping[int, _Tried]) -> int:
+        """The model that improves the surface most in its time; the least bad where all make it worse."""
+        rates = {i: one.cost * self._speed_ratio[i] for i, one in tried.items()}
+        if min(rates.values()) < 0.0:
+            return min(rates, key=rates.__getitem__)
+        # A slow load that harms is no better than a quick one.
+        return min(tried, key=lambda index: tried[index].cost)
+
     def _others(
         self, height_m: Array, place_m: tuple[float, float], volume_m3: float, chosen: int
     ) -> str:
@@ -315,7 +323,7 @@ class LoadPlanner:
             of = [i for i, m in enumerate(self._models) if m.card.mode is mode and i != chosen]
             reached = [i for i in of if i in tried]
             if reached:
-                best = min(reached, key=lambda i: tried[i].cost * self._speed_ratio[i])
+                best = self._best_of({i: tried[i] for i in reached})
                 model = self._models[best]
                 longer_s = model.release_s - own.release_s
                 words.append(

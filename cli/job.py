@@ -140,7 +140,7 @@ def _planner(job: BulkJob, models: Sequence[ThrowModel]) -> LoadPlanner:
 
 
 def _models(job: BulkJob, policies: Path, policy: Path | None) -> tuple[ThrowModel, ...]:
-    """The machine's throws: measured scatter of the job file, or previews in the twin."""
+    """The machine's throws: with the scatter of the job file, else with that of virtual machines."""
     spec, file = load_spec(), job.file
     among = open_policies(policies, policy, None if file.mode is None else Mode(file.mode))
     height_m = middle_height_m(job)

@@ -63,7 +63,7 @@ def is_policys_own(violation_count: int) -> bool:
     return bool(violation_count & _POLICYS_OWN) and not violation_count & _IMU
 
 
-# Numbers, not members: arithmetic of flags costs as much as all else that a tick asks here.
+# Numbers, not members: flags are slow to combine, and this is asked in every tick.
 _IMU = int(Violation.IMU)
 _POLICYS_OWN = int(
     Violation.SWING | Violation.LATE | Violation.POLICY | Violation.ZONE | Violation.RELEASE

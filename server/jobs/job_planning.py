@@ -34,11 +34,11 @@ class PlanTask:
     policies: tuple[PolicyFolder, ...]
     """On board, of the modes that may be chosen."""
     landing: Mapping[Mode, tuple[LandingScatter, ...]]
-    """Measured; empty: predicted in the twin."""
+    """Measured; empty: that of virtual machines."""
     loads: Mapping[Mode, tuple[MeasuredLoad, ...]]
     """Measured ones of the same material."""
     models: tuple[ThrowModel, ...] | None
-    """Predicted for the same task before; it takes 2 to 3 s for each mode and pace."""
+    """Predicted for the same task before; it takes about 1 s for each mode and pace."""
 
 
 @dataclass(frozen=True, slots=True)

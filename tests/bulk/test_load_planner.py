@@ -79,6 +79,9 @@ def test_mode_and_pace_are_those_that_spill_less_are_quicker_or_reach_at_all():
     assert load.mode is Mode.SPATIAL and re.search(r"2D at pace 0: .* \+0\.0 s", load.others)
     moved = LoadPlanner(goal, start, [*models, turning], 0.25).load_at(start, 8.3, 0.2, 0.25)
     assert moved.mode is Mode.SPATIAL
+    full = replace(start, height_m=np.where(goal.region, 1.6, start.height_m))
+    harmful = LoadPlanner(goal, start, [careful, slow], 0.25).load_at(full, 8.3, 0.2, 0.25)
+    assert harmful.cost > 0.0 and harmful.pace_ratio == careful.pace_ratio
     heavy = LoadPlanner(goal, start, [turning, careful], 0.6).load_at(start, 7.4, 0.0, 0.6)
     assert heavy.mode is Mode.PLANAR and heavy.others == "3D does not reach it"
 
