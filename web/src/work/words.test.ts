@@ -66,6 +66,9 @@ describe("a reason", () => {
     expect(reasonWords("left rear: 0.30 m3 missing; spill risk 0.4 %")).toBe(
       "left rear: 0.30\u00a0m³ missing; spill risk 0.4\u00a0%",
     );
+    expect(reasonWords("y -0.4 m; left-rear, -1.7 s")).toBe(
+      "y −0.4\u00a0m; left-rear, −1.7\u00a0s",
+    );
   });
 });
 

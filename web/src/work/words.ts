@@ -49,7 +49,7 @@ export function landedWords(load: Pick<JobLoad, "landed_by" | "spread_m">): stri
 
 /** A proposal's reason as it is set on a page. */
 export const reasonWords = (sentence: string) =>
-  unbroken(sentence.replace(/(?<=\d) m3\b/g, "\u00a0m³"));
+  unbroken(sentence.replace(/(?<=\d) m3\b/g, "\u00a0m³").replace(/(?<= )-(?=\d)/g, "−"));
 
 /** Why there is no proposal, and what to do; null where there are some, or a plan is being made. */
 export function noPlanWords(job: Job): string | null {
