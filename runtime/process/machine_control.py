@@ -236,8 +236,9 @@ class MachineControl:
         if skipped_count >= STALL_LIMIT_COUNT:
             self._stalled_ns = self._now_ns
         self.driver.advance(due_ns)
-        self._now_ns = now_ns = self.driver.now_ns()
+        # In this order: a process that is held up in between sees an old sample, not one of the future.
         self._sample = self.driver.read()
+        self._now_ns = now_ns = self.driver.now_ns()
         if skipped_count >= STALL_LIMIT_COUNT:
             # Nobody knows how old what came meanwhile is: also what is only armed is given back first.
             cause = f"the control loop stood still for {skipped_count * 10} ms"

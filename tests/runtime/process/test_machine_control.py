@@ -342,6 +342,22 @@ def test_a_log_context_before_any_plan(bench):
     assert bench.control.log_throw_id is None
 
 
+def test_samples_that_come_while_a_tick_is_held_up_are_not_of_the_future(bench, monkeypatch):
+    driver = bench.driver
+    read, held_up_ns = driver.read, 0
+
+    def read_late():
+        driver._now_ns += held_up_ns
+        return read()
+
+    monkeypatch.setattr(driver, "read", read_late)
+    bench.ticks(20)
+    for held_up_ns in (8_000_000, 0, 30_000_000, 0):  # noqa: B007 - the driver's read takes so long
+        bench.ticks(3)
+    assert driver.commands[-1].supply_enabled is not None
+    assert all(command.supply_enabled[0] for command in driver.commands[-12:])
+
+
 def test_commands_carry_a_counter_that_goes_on(bench):
     bench.ticks(5)
     counts = [command.alive_count for command in bench.driver.commands]
