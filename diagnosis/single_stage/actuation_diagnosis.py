@@ -202,7 +202,7 @@ def _without_separation(found: Diagnosis, joint: str | None) -> Diagnosis:
         for name, p in effect.parameters.items()
         if name in ("extra_dead_time_s", "extra_lag_s")
     ]
-    if found.verdict is not VerdictKind.EXPLAINED or not delays:
+    if found.verdict not in (VerdictKind.EXPLAINED, VerdictKind.AMBIGUOUS) or not delays:
         return found
     total = FittedParameter(
         value=sum(p.value for p in delays),

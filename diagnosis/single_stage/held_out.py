@@ -14,8 +14,8 @@ BOOTSTRAP_COUNT: Final = 2000
 """Bootstrap draws of held-out blocks."""
 
 
-def estimate_held_out_mean_square(problem: FitProblem, found: StructureFit) -> float:
-    """Mean square of each block's residual with parameters fitted to the other blocks (leave-one-block-out).
+def estimate_held_out_squares(problem: FitProblem, found: StructureFit) -> Array:
+    """Sum of squares (blocks,) of each block's residual with parameters fitted to the other blocks.
 
     Parameters without block b follow from one Gauss-Newton step, x_b = x - (A - A_b)^-1 J_b' r_b with
     A = J'J; the block is then simulated with x_b. This is exact for a linear response. A parameter that the
@@ -42,15 +42,13 @@ def estimate_held_out_mean_square(problem: FitProblem, found: StructureFit) -> f
     rows = np.arange(len(r))
     linear = np.bincount(place, (r - (np.stack(block_values) - values) @ J.T)[place, rows] ** 2)
     if np.any(local):
-        return float(np.sum(linear)) / len(r)
+        return linear.astype(np.float64)
     names = found.names
     resimulated = problem.residuals(
         [dict(zip(names, x.tolist(), strict=True)) for x in block_values]
     )
     simulated = np.bincount(place, resimulated[place, rows] ** 2)
-    return float(np.sum(np.minimum(simulated, np.maximum(linear, np.bincount(place, r**2))))) / len(
-        r
-    )
+    return np.minimum(simulated, np.maximum(linear, np.bincount(place, r**2)))
 
 
 def _solve_bounded_step(matrix: Array, right: Array, room: tuple[Array, Array]) -> Array:

@@ -38,6 +38,8 @@ MAX_CAUSES_COUNT: Final = 6
 """Most causes that are reported."""
 AMBIGUOUS_RATIO: Final = 0.25
 """Probability of a rival with other effects, relative to the best, from which the result is ambiguous."""
+MIN_LEAD_SD: Final = 2.0
+"""Lead of the best structure on held-out blocks, in standard errors, below which another may be true."""
 MIN_SHOWN_RATIO: Final = 0.01
 """Lower end of the explained share below which held-out data do not show the effects."""
 RIVAL_RATIO: Final = 0.05
@@ -274,18 +276,17 @@ def _find_ambiguity(
 ) -> Ambiguity | None:
     """The best structure and a nearly as probable one, if neither contains the other; else None."""
     best = selection.best
-    best_effects = set(best.effects) - REFINEMENT_EFFECTS
     for rival in selection.ranked[1:]:
-        rival_effects = set(rival.effects) - REFINEMENT_EFFECTS
-        if rival.probability < AMBIGUOUS_RATIO * best.probability:
-            return None
-        if best_effects <= rival_effects or rival_effects <= best_effects:
+        if set(best.effects) <= set(rival.effects) or set(rival.effects) <= set(best.effects):
             continue
-        difference = frozenset(best_effects ^ rival_effects)
+        if not is_possible(selection, rival):
+            continue
+        difference = frozenset(set(best.effects) ^ set(rival.effects))
         motion = next(
             (text for pair, text in labels.separating_records.items() if pair <= difference),
             _recommend_motion(labels.stage),
         )
+        lead = selection.lead(rival)
         return Ambiguity(
             members=(" + ".join(best.effects), " + ".join(rival.effects)),
             effects=tuple(
@@ -294,11 +295,28 @@ def _find_ambiguity(
             ),
             separating_motion={"kind": labels.stage.value, "joint": labels.joint, "words": motion},
             why=(
-                f"held-out residuals of both are alike (probabilities {best.probability:.2f} and "
-                f"{rival.probability:.2f}); they differ in {', '.join(sorted(difference))}"
+                f"held-out data do not tell them apart (they leave {math.sqrt(best.held_out):.3g} and "
+                f"{math.sqrt(rival.held_out):.3g} {labels.unit}, {lead:.1f} standard errors apart; "
+                f"probabilities {best.probability:.2f} and {rival.probability:.2f}); they differ in "
+                f"{', '.join(sorted(difference))}"
             ),
         )
     return None
+
+
+def is_possible(selection: Selection, rival: ScoredStructure) -> bool:
+    """Whether a structure may be true in place of the best.
+
+    Where effects leave more than noise, the likelihood is too sure of itself: errors of the best structure
+    last longer than the residual's correlation. There the held-out blocks have to agree on the better one.
+    """
+    if rival.probability >= AMBIGUOUS_RATIO * selection.best.probability:
+        return True
+    is_padded = any(
+        set(one.effects) < set(rival.effects) and one.score >= rival.score
+        for one in selection.ranked
+    )
+    return not (is_padded or selection.is_noise_like) and selection.lead(rival) < MIN_LEAD_SD
 
 
 def _find_ambiguity_with_none(

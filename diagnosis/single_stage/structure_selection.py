@@ -16,12 +16,13 @@ from scipy.special import softmax
 from diagnosis.hypotheses.unknown_check import Left, unknown_probability
 from diagnosis.single_stage.fit import QUICK_ITERATIONS, StructureFit, fit_structure
 from diagnosis.single_stage.fit_problem import EffectOption, FitProblem
-from diagnosis.single_stage.held_out import estimate_held_out_mean_square
+from diagnosis.single_stage.held_out import estimate_held_out_squares
 from diagnosis.single_stage.uncertainty import (
     estimate_correlation_samples,
     estimate_standard_errors,
     interval_half_width_factor,
 )
+from machine.conventions import Array
 
 BEAM_COUNT: Final = 2
 """Structures kept per level of the beam search."""
@@ -66,6 +67,8 @@ class ScoredStructure:
     fit: StructureFit
     held_out: float
     """Mean square on held-out blocks."""
+    squares: Array
+    """Sum of squares on each held-out block, (blocks,)."""
     score: float
     """Log posterior up to a constant."""
     probability: float = 0.0
@@ -101,6 +104,17 @@ class Selection:
         """Share of the response that the best structure leaves on held-out data, beyond the noise."""
         unexplained_power = max(self.best.held_out - self.noise**2, 0.0)
         return math.sqrt(unexplained_power) / max(self.signal, 1e-12)
+
+    @property
+    def is_noise_like(self) -> bool:
+        """Whether the best structure leaves no more than noise."""
+        return math.sqrt(self.best.fit.mean_square) < WHITE_RESIDUAL_RATIO * self.noise
+
+    def lead(self, rival: ScoredStructure) -> float:
+        """By how much the best structure is better than another on held-out blocks, in standard errors."""
+        difference = rival.squares - self.best.squares
+        spread = math.sqrt(len(difference) * float(np.var(difference, ddof=1)))
+        return float(np.sum(difference)) / max(spread, 1e-300)
 
     def inclusion(self) -> dict[str, float]:
         """Posterior inclusion probability of each effect."""
@@ -252,7 +266,8 @@ def _rank_structures(
         is_far = found.mean_square - richest.mean_square >= relevant**2
         if found.options and is_far and optimistic < -limit - 40.0:
             continue
-        held_out = max(estimate_held_out_mean_square(problem, found), found.mean_square)
+        squares = estimate_held_out_squares(problem, found)
+        held_out = max(float(np.sum(squares)) / len(found.residual), found.mean_square)
         scored_mean_square = found.mean_square if is_noise_like else held_out
         score = -0.5 * independent * math.log(scored_mean_square + floor) - penalty + prior
         if {"valve_dead_band_plain", "valve_gain"} <= key or _has_insignificant_effect(
@@ -267,7 +282,7 @@ def _rank_structures(
             # magnitudes, are not better than none.
             if is_alike or all(_is_at_lower_bound(found, option) for option in more):
                 score = min(score, simpler.score + INSIGNIFICANT_LOG_PRIOR)
-        scored[key] = ScoredStructure(found, held_out, score)
+        scored[key] = ScoredStructure(found, held_out, squares, score)
     items = sorted(scored.values(), key=lambda item: -item.score)
     probabilities = softmax([item.score for item in items])
     ranked = [
@@ -315,9 +330,8 @@ def _merge_variants(ranked: Sequence[ScoredStructure]) -> list[ScoredStructure]:
             merged[item.effects] = item
         else:
             first = merged[item.effects]
-            merged[item.effects] = ScoredStructure(
-                first.fit, first.held_out, first.score, first.probability + item.probability
-            )
+            both = min(first.probability + item.probability, 1.0)  # rounding may exceed 1
+            merged[item.effects] = replace(first, probability=both)
     return sorted(merged.values(), key=lambda item: -item.probability)
 
 

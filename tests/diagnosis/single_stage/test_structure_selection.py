@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagnosis.single_stage import structure_selection
+from diagnosis.single_stage import stage_result, structure_selection
 from diagnosis.single_stage.fit import StructureFit
 from diagnosis.single_stage.fit_problem import EffectOption, FreeParameter
 
@@ -31,7 +31,7 @@ def test_an_effect_at_its_smallest_magnitude_is_not_preferred(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(
-        structure_selection, "estimate_held_out_mean_square", lambda _, found: found.mean_square
+        structure_selection, "estimate_held_out_squares", lambda _, found: found.residual**2
     )
     monkeypatch.setattr(structure_selection, "_has_insignificant_effect", lambda *_: False)
     problem = SimpleNamespace(block=np.arange(400) // 20, noise=0.01, nuisance=())
@@ -42,3 +42,30 @@ def test_an_effect_at_its_smallest_magnitude_is_not_preferred(
         }
         ranked, _, _ = structure_selection._rank_structures(problem, visited, 1.0, 0.002)
         assert ranked[0].effects == best
+
+
+@pytest.mark.parametrize(
+    ("worse_on_each", "noise", "is_possible"),
+    [
+        (0.02 * np.ones(20), 0.01, False),
+        (0.4 * (np.arange(20) == 3), 0.01, True),
+        (0.4 * (np.arange(20) == 3), 0.1, False),
+    ],
+    ids=["worse on every block", "worse on one block", "only noise is left"],
+)
+def test_a_rival_stays_possible_until_held_out_blocks_agree(
+    worse_on_each: np.ndarray, noise: float, is_possible: bool
+) -> None:
+    drift, by_position = (
+        EffectOption(name, name, (FreeParameter("ratio", "1", 0.0, 1.0, (0.5,)),))
+        for name in ("speed_drift", "speed_by_position")
+    )
+    fit = make_fit((drift,), {}, 0.1)
+    best = structure_selection.ScoredStructure(fit, 0.01, np.full(20, 0.2), 0.0, 0.99)
+    rival_fit = make_fit((by_position,), {}, 0.1)
+    rival = structure_selection.ScoredStructure(rival_fit, 0.011, 0.2 + worse_on_each, -20.0, 1e-4)
+    padded_fit = make_fit((by_position, FRICTION), {}, 0.1)
+    padded = structure_selection.ScoredStructure(padded_fit, 0.011, rival.squares, -25.0, 1e-5)
+    selection = structure_selection.Selection((best, rival, padded), best, 1.0, 1.0, noise, 0.0)
+    assert stage_result.is_possible(selection, rival) is is_possible
+    assert not stage_result.is_possible(selection, padded)
