@@ -29,6 +29,11 @@ describe("differences of two versions", () => {
     expect(differenceWords({ ...row, quantity: "sd down", difference: [0.8, 1.3] })).toBe(
       "0.80 to 1.30 times",
     );
+    const spread: Difference = { ...row, quantity: "sd down", difference: [0.002, 370.5] };
+    expect(differenceWords(spread)).toBe("anything: too few throws");
+    expect(differenceWords({ ...spread, verdict: "worse", difference: [12, 400] })).toBe(
+      "12.00 to 400.00 times",
+    );
     expect(differenceWords({ ...row, difference: null })).toBe("–");
   });
 });

@@ -19,11 +19,16 @@ export function valueWords(quantity: string, value: number | null): string {
   return quantity.startsWith("mean") ? signed(value, 3) : fixed(value, 3);
 }
 
+/** A ratio of spreads that may be ten times as large as it may be small says nothing in numbers. */
+const WIDE_RATIO = 10;
+
 /** "-0.02 to +0.01"; a spread as the ratio of the second to the first: "0.8 to 1.3 times". */
-export function differenceWords({ quantity, difference }: Difference): string {
+export function differenceWords({ quantity, difference, verdict }: Difference): string {
   if (difference === null) return fixed(null);
   const [low, high] = difference;
   if (quantity === "landed") return `${signed(low * 100, 1)} to ${signed(high * 100, 1)} %`;
+  const isWide = verdict === "cannot tell" && high > WIDE_RATIO * low;
+  if (quantity.startsWith("sd") && isWide) return "anything: too few throws";
   if (quantity.startsWith("sd")) return `${fixed(low)} to ${fixed(high)} times`;
   return `${signed(low, 3)} to ${signed(high, 3)}`;
 }

@@ -3,6 +3,9 @@ import { useNow } from "../session/useNow";
 import { age } from "../words/format";
 import classes from "./Banner.module.css";
 
+/** A stream that opens again within this time is not worth a banner; the bar above says it at once. */
+const SHOWN_FROM_S = 2;
+
 /** Says that what is shown is not live, and since when. */
 export function OfflineBanner() {
   const connection = useConnection();
@@ -24,6 +27,7 @@ export function OfflineBanner() {
       </div>
     );
   }
+  if (stale_s < SHOWN_FROM_S) return null;
   return (
     <div className={classes.banner} role="alert" data-testid="offline">
       <span>
