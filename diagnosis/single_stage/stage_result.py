@@ -14,6 +14,7 @@ from diagnosis.single_stage.fit import StructureFit, fit_structure
 from diagnosis.single_stage.fit_problem import FitProblem
 from diagnosis.single_stage.held_out import measure_held_out_shrink
 from diagnosis.single_stage.structure_selection import (
+    AMBIGUOUS_RATIO,
     REFINEMENT_EFFECTS,
     ScoredStructure,
     Selection,
@@ -36,10 +37,6 @@ from diagnosis.verdict import (
 
 MAX_CAUSES_COUNT: Final = 6
 """Most causes that are reported."""
-AMBIGUOUS_RATIO: Final = 0.25
-"""Probability of a rival with other effects, relative to the best, from which the result is ambiguous."""
-MIN_LEAD_SD: Final = 2.0
-"""Lead of the best structure on held-out blocks, in standard errors, below which another may be true."""
 MIN_SHOWN_RATIO: Final = 0.01
 """Lower end of the explained share below which held-out data do not show the effects."""
 RIVAL_RATIO: Final = 0.05
@@ -279,7 +276,7 @@ def _find_ambiguity(
     for rival in selection.ranked[1:]:
         if set(best.effects) <= set(rival.effects) or set(rival.effects) <= set(best.effects):
             continue
-        if not is_possible(selection, rival):
+        if not selection.is_possible(rival):
             continue
         difference = frozenset(set(best.effects) ^ set(rival.effects))
         motion = next(
@@ -302,21 +299,6 @@ def _find_ambiguity(
             ),
         )
     return None
-
-
-def is_possible(selection: Selection, rival: ScoredStructure) -> bool:
-    """Whether a structure may be true in place of the best.
-
-    Where effects leave more than noise, the likelihood is too sure of itself: errors of the best structure
-    last longer than the residual's correlation. There the held-out blocks have to agree on the better one.
-    """
-    if rival.probability >= AMBIGUOUS_RATIO * selection.best.probability:
-        return True
-    is_padded = any(
-        set(one.effects) < set(rival.effects) and one.score >= rival.score
-        for one in selection.ranked
-    )
-    return not (is_padded or selection.is_noise_like) and selection.lead(rival) < MIN_LEAD_SD
 
 
 def _find_ambiguity_with_none(

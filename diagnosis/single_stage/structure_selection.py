@@ -56,6 +56,10 @@ MIN_GAIN_RATIO: Final = 0.01
 """Smallest relative reduction of the mean square that continues the beam search."""
 UNKNOWN_RATIO: Final = 0.1
 """Unexplained share of the response above which no set of effects counts as an explanation."""
+AMBIGUOUS_RATIO: Final = 0.25
+"""Probability of a rival with other effects, relative to the best, from which the result is ambiguous."""
+MIN_LEAD_SD: Final = 2.0
+"""Lead of the best structure on held-out blocks, in standard errors, below which another may be true."""
 
 Progress = Callable[[str], None]
 
@@ -115,6 +119,20 @@ class Selection:
         difference = rival.squares - self.best.squares
         spread = math.sqrt(len(difference) * float(np.var(difference, ddof=1)))
         return float(np.sum(difference)) / max(spread, 1e-300)
+
+    def is_possible(self, rival: ScoredStructure) -> bool:
+        """Whether a structure may be true in place of the best.
+
+        Where effects leave more than noise, the likelihood is too sure of itself: errors of the best
+        structure last longer than the residual's correlation. There the held-out blocks have to agree.
+        """
+        if rival.probability >= AMBIGUOUS_RATIO * self.best.probability:
+            return True
+        is_padded = any(
+            set(one.effects) < set(rival.effects) and one.score >= rival.score
+            for one in self.ranked
+        )
+        return not (is_padded or self.is_noise_like) and self.lead(rival) < MIN_LEAD_SD
 
     def inclusion(self) -> dict[str, float]:
         """Posterior inclusion probability of each effect."""

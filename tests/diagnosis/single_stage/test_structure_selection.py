@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagnosis.single_stage import stage_result, structure_selection
+from diagnosis.single_stage import structure_selection
 from diagnosis.single_stage.fit import StructureFit
 from diagnosis.single_stage.fit_problem import EffectOption, FreeParameter
 
@@ -67,5 +67,5 @@ def test_a_rival_stays_possible_until_held_out_blocks_agree(
     padded_fit = make_fit((by_position, FRICTION), {}, 0.1)
     padded = structure_selection.ScoredStructure(padded_fit, 0.011, rival.squares, -25.0, 1e-5)
     selection = structure_selection.Selection((best, rival, padded), best, 1.0, 1.0, noise, 0.0)
-    assert stage_result.is_possible(selection, rival) is is_possible
-    assert not stage_result.is_possible(selection, padded)
+    assert selection.is_possible(rival) is is_possible
+    assert not selection.is_possible(padded)
