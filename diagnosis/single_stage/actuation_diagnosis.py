@@ -195,14 +195,19 @@ def _describe_direction(reading: DirectionReading, unit: str) -> str:
 
 
 def _without_separation(found: Diagnosis, joint: str | None) -> Diagnosis:
-    """The result for one sine, whose phase is one number: dead time and lag cannot be separated."""
+    """The result for one sine, whose phase is one number: dead time and lag cannot be separated.
+
+    An ambiguity of other effects, or with none, stays.
+    """
+    pair = ("valve_dead_time", "valve_lag")
     delays = [
         p
         for effect in found.causes[0].effects
         for name, p in effect.parameters.items()
         if name in ("extra_dead_time_s", "extra_lag_s")
     ]
-    if found.verdict not in (VerdictKind.EXPLAINED, VerdictKind.AMBIGUOUS) or not delays:
+    is_of_delays = found.ambiguity is not None and set(found.ambiguity.members) == set(pair)
+    if not delays or not (found.verdict is VerdictKind.EXPLAINED or is_of_delays):
         return found
     total = FittedParameter(
         value=sum(p.value for p in delays),
@@ -213,7 +218,6 @@ def _without_separation(found: Diagnosis, joint: str | None) -> Diagnosis:
         f"the command is one sine, so that delay and lag cannot be separated; together they are about "
         f"{total.value:.2g} s"
     )
-    pair = ("valve_dead_time", "valve_lag")
     ambiguity = Ambiguity(
         members=pair,
         effects=tuple(
@@ -227,7 +231,7 @@ def _without_separation(found: Diagnosis, joint: str | None) -> Diagnosis:
         },
         why=why,
     )
-    sentence = f"{found.sentence} But {why}."
+    sentence = f"{found.sentence} {why.capitalize()}."
     return found.model_copy(
         update={"verdict": VerdictKind.AMBIGUOUS, "ambiguity": ambiguity, "sentence": sentence}
     )

@@ -271,14 +271,13 @@ def _list_causes(
 def _find_ambiguity(
     problem: FitProblem, selection: Selection, labels: StageLabels
 ) -> Ambiguity | None:
-    """The best structure and a nearly as probable one, if neither contains the other; else None."""
+    """The best structure and one that may be true in its place, if neither contains the other; else None."""
     best = selection.best
     for rival in selection.ranked[1:]:
-        if set(best.effects) <= set(rival.effects) or set(rival.effects) <= set(best.effects):
+        ours, theirs = frozenset(best.effects), frozenset(rival.effects)
+        if ours <= theirs or theirs <= ours or not selection.is_possible(rival):
             continue
-        if not selection.is_possible(rival):
-            continue
-        difference = frozenset(set(best.effects) ^ set(rival.effects))
+        difference = ours ^ theirs
         motion = next(
             (text for pair, text in labels.separating_records.items() if pair <= difference),
             _recommend_motion(labels.stage),

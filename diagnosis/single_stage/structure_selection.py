@@ -59,7 +59,8 @@ UNKNOWN_RATIO: Final = 0.1
 AMBIGUOUS_RATIO: Final = 0.25
 """Probability of a rival with other effects, relative to the best, from which the result is ambiguous."""
 MIN_LEAD_SD: Final = 2.0
-"""Lead of the best structure on held-out blocks, in standard errors, below which another may be true."""
+"""Lead of the best structure on held-out blocks, in standard errors, below which another may be true: the
+95 % interval of the difference holds zero."""
 
 Progress = Callable[[str], None]
 
@@ -115,8 +116,13 @@ class Selection:
         return math.sqrt(self.best.fit.mean_square) < WHITE_RESIDUAL_RATIO * self.noise
 
     def lead(self, rival: ScoredStructure) -> float:
-        """By how much the best structure is better than another on held-out blocks, in standard errors."""
+        """By how much the best structure is better than another on held-out blocks, in standard errors.
+
+        The standard error is that of the sum of the blocks' paired differences; one block has none: 0.
+        """
         difference = rival.squares - self.best.squares
+        if len(difference) < 2:
+            return 0.0
         spread = math.sqrt(len(difference) * float(np.var(difference, ddof=1)))
         return float(np.sum(difference)) / max(spread, 1e-300)
 

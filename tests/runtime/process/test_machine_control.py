@@ -344,17 +344,16 @@ def test_a_log_context_before_any_plan(bench):
 
 def test_samples_that_come_while_a_tick_is_held_up_are_not_of_the_future(bench, monkeypatch):
     driver = bench.driver
-    read, held_up_ns = driver.read, 0
+    read = driver.read
+    held_up_ns = [*[0] * 20, *[8_000_000] * 3, *[0] * 3, *[30_000_000] * 3, *[0] * 3]
+    waits_ns = iter(held_up_ns)
 
     def read_late():
-        driver._now_ns += held_up_ns
+        driver._now_ns += next(waits_ns)
         return read()
 
     monkeypatch.setattr(driver, "read", read_late)
-    bench.ticks(20)
-    for held_up_ns in (8_000_000, 0, 30_000_000, 0):  # noqa: B007 - the driver's read takes so long
-        bench.ticks(3)
-    assert driver.commands[-1].supply_enabled is not None
+    bench.ticks(len(held_up_ns))
     assert all(command.supply_enabled[0] for command in driver.commands[-12:])
 
 

@@ -19,7 +19,7 @@ export function valueWords(quantity: string, value: number | null): string {
   return quantity.startsWith("mean") ? signed(value, 3) : fixed(value, 3);
 }
 
-/** A ratio of spreads that may be ten times as large as it may be small says nothing in numbers. */
+/** Ends of an interval of a ratio this many times apart, as of five throws beside five, are no comparison. */
 const WIDE_RATIO = 10;
 
 /** "-0.02 to +0.01"; a spread as the ratio of the second to the first: "0.8 to 1.3 times". */
