@@ -28,7 +28,7 @@ export function differenceWords({ quantity, difference, verdict }: Difference): 
   const [low, high] = difference;
   if (quantity === "landed") return `${signed(low * 100, 1)} to ${signed(high * 100, 1)} %`;
   const isWide = verdict === "cannot tell" && high > WIDE_RATIO * low;
-  if (quantity.startsWith("sd") && isWide) return "anything: too few throws";
+  if (quantity.startsWith("sd") && isWide) return "any ratio";
   if (quantity.startsWith("sd")) return `${fixed(low)} to ${fixed(high)} times`;
   return `${signed(low, 3)} to ${signed(high, 3)}`;
 }
