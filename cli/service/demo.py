@@ -93,15 +93,20 @@ class Child:
             self.process.wait()
 
 
-def _free_port() -> int:
-    """A free port below those that the system gives away: the server takes it a minute later."""
+def _held_port() -> socket.socket:
+    """A free port below those that the system gives away, held for a server that takes it a minute later.
+
+    Nobody else can bind it meanwhile but who asks to share the address, as servers do that restart.
+    """
     for port in random.sample(GIVEN_PORTS, 100):
-        with socket.socket() as probe:
-            try:
-                probe.bind(("127.0.0.1", port))
-            except OSError:
-                continue
-            return port
+        held = socket.socket()
+        try:
+            held.bind(("127.0.0.1", port))
+        except OSError:
+            held.close()
+            continue
+        held.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        return held
     raise UsageError("100 ports between 20000 and 32000 are taken; name one with --port")
 
 
@@ -259,9 +264,9 @@ def run(
         raise UsageError(
             f"--machines is {machines}; it runs 1 to {MOST_MACHINES}, each on about a third of a core."
         )
-    port = port or _free_port()
-    open_socket("127.0.0.1", port).close()
-    setup = DemoSetup(data.resolve(), policies.resolve(), port, _free_port())
+    own, link = open_socket("127.0.0.1", port) if port else _held_port(), _held_port()
+    port, link_port = (int(held.getsockname()[1]) for held in (own, link))
+    setup = DemoSetup(data.resolve(), policies.resolve(), port, link_port)
     units = {f"m{number + 1:03d}": unit_seed + number for number in range(machines)}
     signal.signal(signal.SIGTERM, lambda *_: (_ for _ in ()).throw(KeyboardInterrupt()))
     children: list[Child] = []
@@ -297,3 +302,5 @@ def run(
     finally:
         for child in children:
             child.stop()
+        own.close()
+        link.close()
