@@ -133,6 +133,9 @@ class Kills:
     def begin(self, step: str) -> Work:
         """Begin a step; `_began_s` is the time from which on it may be killed."""
         machine = self.rng.choice(self.yard.machines)
+        if step == "rollback" and machine.slots.of(MODE).is_previous_rolled_back:
+            # There is no way back from a version that a rollback brought.
+            until(self.deploy(machine).is_done, "a version to go back from", FINISH_S)
         if step == "upload":
             work = self._upload()
         elif step == "validation":

@@ -10,7 +10,7 @@ import tyro
 from machine.conventions import Mode
 from machine.errors import UsageError
 from runtime.policies.puller import ROLLBACK_FILE, RollbackRequest
-from runtime.policies.slots import PolicySlots
+from runtime.policies.slots import PolicySlots, shown
 
 LOOK_PERIOD_S = 0.05
 
@@ -23,8 +23,8 @@ def run(
 ) -> int:
     """Put the policy version before into use; exit 3 while a running machine has not done so yet.
 
-    A running machine switches while no plan is armed; one that does not run begins with that version. The
-    version that was in use becomes the one before, so that the same again undoes it.
+    A running machine switches while no plan is armed; one that does not run begins with that version. No
+    rollback leads back to the version that was in use: deploy it.
 
     Args:
         data: the machine's data folder, as given to `downrange machine`.
@@ -44,7 +44,7 @@ def run(
         # What a machine that died has not done yet is not done on top of this.
         (data / "policies" / ROLLBACK_FILE).unlink(missing_ok=True)
         now = slots.roll_back(chosen)
-    print(f"{mode}: the machine starts with {_shown(now)}")
+    print(f"{mode}: the machine starts with {shown(now)}")
     return 0
 
 
@@ -60,15 +60,11 @@ def _ask(slots: PolicySlots, data: Path, mode: Mode, timeout_s: float) -> int:
     end_s = time.monotonic() + timeout_s
     while time.monotonic() < end_s:
         if slots.of(mode).current == previous:
-            print(f"{mode.value}: the machine throws with {_shown(previous)}")
+            print(f"{mode.value}: the machine throws with {shown(previous)}")
             return 0
         time.sleep(LOOK_PERIOD_S)
     print(
-        f"{mode.value}: asked for {_shown(previous)}; the machine has not switched yet. "
+        f"{mode.value}: asked for {shown(previous)}; the machine has not switched yet. "
         "It does so when no plan is armed; its log says why it cannot."
     )
     return 3
-
-
-def _shown(policy_sha256: str) -> str:
-    return f"policy {policy_sha256[:12]}" if policy_sha256 else "the installed policy"

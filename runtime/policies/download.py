@@ -46,6 +46,8 @@ class WantedPolicy(BaseModel):
     deployment_count: int = Field(ge=1)
     """Counts the deployments of a machine and mode; the machine acts on each once."""
     policy_sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+    is_rollback: bool = False
+    """The version in use is not one to go back to; a server of older software does not say."""
     age_s: float = Field(default=0.0, ge=0.0)
     """Since it was asked for; a server of older software does not say."""
     files: tuple[VersionFile, ...]

@@ -60,13 +60,18 @@ class OnBoardPolicies:
     def start(self, mode: Mode) -> PolicyRunner:
         """The version in use; else the one before it, else the installed one.
 
+        One that was rolled back from comes last.
+
         Raises:
             PolicyError: none can be used, with the reason of each.
         """
         slots = self._slots.of(mode)
+        others = [slots.previous, INSTALLED]
+        if slots.is_previous_rolled_back:
+            others.reverse()
         tried: list[str] = []
         causes: list[str] = []
-        for policy_sha256 in (slots.current, slots.previous, INSTALLED):
+        for policy_sha256 in (slots.current, *others):
             if policy_sha256 is None or policy_sha256 in tried:
                 continue
             tried.append(policy_sha256)

@@ -49,6 +49,7 @@ class PolicyOffer(BaseModel):
     """Empty: the installed version. None: approvals have changed, take what a start would take."""
     deployment_count: int | None = Field(default=None, ge=1)
     """None: a rollback asked for at the machine."""
+    is_rollback: bool = False
     refusal: str = ""
     """Why it is not switched to, for the server; empty = it is."""
 
@@ -124,7 +125,8 @@ class PolicyPuller:
         try:
             if kind is EventKind.POLICY_SWITCHED:
                 if data["slot"] is not None:
-                    self._slots.switch(mode, str(data["slot"]), count)
+                    is_rollback = bool(data["is_rollback"])
+                    self._slots.switch(mode, str(data["slot"]), count, is_rollback=is_rollback)
                 logger.info("%s throws with policy %s", mode.value, data["policy_sha256"][:12])
             elif count is not None:
                 self._slots.note(mode, int(count))
@@ -159,7 +161,9 @@ class PolicyPuller:
         if self._slots.of(request.mode).current == request.policy_sha256:
             self._request_file.unlink(missing_ok=True)
             return
-        offer = PolicyOffer(mode=request.mode, policy_sha256=request.policy_sha256)
+        offer = PolicyOffer(
+            mode=request.mode, policy_sha256=request.policy_sha256, is_rollback=True
+        )
         with self._lock:
             waiting = self._offered.get(offer.mode)
         if (
@@ -234,6 +238,7 @@ class PolicyPuller:
                 mode=wanted.mode,
                 policy_sha256=wanted.policy_sha256,
                 deployment_count=wanted.deployment_count,
+                is_rollback=wanted.is_rollback,
                 refusal=refusal,
             )
         )

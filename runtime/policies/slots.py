@@ -31,6 +31,11 @@ NO_FIRST_KEY: Final = "refuse"
 _SHA256: Final = r"^([0-9a-f]{64})?$"
 
 
+def shown(policy_sha256: str) -> str:
+    """A version in words; `policy_sha256` is empty for the installed one."""
+    return f"policy {policy_sha256[:12]}" if policy_sha256 else "the installed policy"
+
+
 class ModeSlots(BaseModel):
     """The slots of one mode."""
 
@@ -39,6 +44,8 @@ class ModeSlots(BaseModel):
     """sha256 of the policy in use."""
     previous: str | None = Field(default=None, pattern=_SHA256)
     """The one before; None = there was none."""
+    is_previous_rolled_back: bool = False
+    """A rollback took `previous` out of use: no rollback leads to it until it has been deployed anew."""
     deployment_count: int = Field(default=0, ge=0)
     """Newest deployment of the server that was carried out or refused here."""
     rolled_back_s: float | None = Field(default=None, ge=0.0)
@@ -68,8 +75,21 @@ class PolicySlots:
         """The slots of a mode; those of a machine that never switched where the file cannot be read."""
         return self._read().get(mode, ModeSlots())
 
-    def switch(self, mode: Mode, policy_sha256: str, deployment_count: int | None = None) -> None:
+    def switch(
+        self,
+        mode: Mode,
+        policy_sha256: str,
+        deployment_count: int | None = None,
+        *,
+        is_rollback: bool = False,
+    ) -> None:
         """Put a version into use; the one in use becomes the previous one. The same again changes nothing.
+
+        Args:
+            mode: whose slots.
+            policy_sha256: the version; empty for the installed one.
+            deployment_count: of the server; None where a person at the machine asked.
+            is_rollback: no later rollback leads to the version now in use.
 
         Raises:
             OSError: the disk refuses; the slots are as before.
@@ -82,6 +102,7 @@ class PolicySlots:
             changes["rolled_back_s"] = time.time() if deployment_count is None else None
             if policy_sha256 != slots.current:
                 changes |= {"current": policy_sha256, "previous": slots.current}
+                changes["is_previous_rolled_back"] = is_rollback
             self._write(mode, slots.model_copy(update=changes))
 
     def note(self, mode: Mode, deployment_count: int) -> None:
@@ -100,24 +121,30 @@ class PolicySlots:
         """Put the previous version into use; returns its sha256, empty for the installed one.
 
         Raises:
-            UsageError: there is none.
+            UsageError: there is none, or it was rolled back from.
             OSError: the disk refuses.
         """
         with self._lock:
             previous = self.previous(mode)
-            self.switch(mode, previous)
+            self.switch(mode, previous, is_rollback=True)
             return previous
 
     def previous(self, mode: Mode) -> str:
-        """The version before.
+        """The version that a rollback leads to.
 
         Raises:
-            UsageError: there is none.
+            UsageError: there is none, or it was rolled back from.
         """
-        previous = self.of(mode).previous
-        if previous is None:
+        slots = self.of(mode)
+        if slots.previous is None:
             raise UsageError(f"mode {mode.value} has no version before the one in use")
-        return previous
+        if slots.is_previous_rolled_back:
+            raise UsageError(
+                f"mode {mode.value} has no version before {shown(slots.current)} on this machine: "
+                f"{shown(slots.previous)} was rolled back; deploy the version that it is to have "
+                "(`downrange policy deploy`)"
+            )
+        return slots.previous
 
     def add(self, incoming: Path, policy_sha256: str) -> Path:
         """Take in a folder that is complete; returns where it lies now.

@@ -194,6 +194,7 @@ class MachineControl:
             "policy_sha256": offer.policy_sha256,
             "slot": offer.policy_sha256,
             "deployment_count": offer.deployment_count,
+            "is_rollback": offer.is_rollback,
         }
         policies = dict(self.setup.policies)
         if runner is None:

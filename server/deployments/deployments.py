@@ -21,7 +21,7 @@ from server.accounts.accounts import Session
 from server.accounts.audit_chain import AuditChain, Entry
 from server.clock import utc_now
 from server.deployments.asker import Asker
-from server.deployments.machine_policies import version_before
+from server.deployments.machine_policies import policy_aboard, rollback_of
 from server.deployments.site_approvals import SiteApprovals
 from server.deployments.site_keys import TrustReport, keep_report
 from server.errors import ConflictError, NotFoundError
@@ -90,16 +90,22 @@ class Deployments:
 
         Raises:
             NotFoundError: no such machine, or the version's files are gone.
-            ConflictError: it has had no other version.
+            ConflictError: it has had no other version, or none that was not rolled back from.
         """
         self._registry.get(machine_id)
         with self._database.read() as database:
-            before = version_before(database, machine_id, mode)
-        if before is None:
-            raise ConflictError(
-                "no_version_before", f"{machine_id} has had no other version in {mode.value}."
-            )
-        policy = self.require_usable(mode, before)
+            back = rollback_of(database, machine_id, mode)
+            aboard = policy_aboard(database, machine_id, mode)
+        if back.to_sha256 is None:
+            text = f"{machine_id} has had no other version in {mode.value}."
+            if aboard is not None and back.from_sha256 is not None:
+                now, taken = map(self._policies.name_of, (aboard, back.from_sha256))
+                text = (
+                    f"{machine_id} has no version before {now} in {mode.value}: {taken} was rolled back. "
+                    "Deploy the version that it is to have."
+                )
+            raise ConflictError("no_version_before", text)
+        policy = self.require_usable(mode, back.to_sha256)
         asker = Asker(session.actor, session.username, reason)
         return self._add(machine_id, mode, policy, asker, is_rollback=True)
 
@@ -168,6 +174,7 @@ class Deployments:
                     mode=Mode(row.mode),
                     deployment_count=row.deployment_count,
                     policy_sha256=row.policy_sha256,
+                    is_rollback=row.is_rollback,
                     age_s=max(0.0, (utc_now() - row.created_utc).total_seconds()),
                     files=files,
                 )

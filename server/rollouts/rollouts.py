@@ -387,7 +387,7 @@ class Rollouts:
             if wanted != row.policy_sha256:
                 continue  # asked for another version since
             if one.before_sha256 is None:
-                notes.append(f"{one.machine_id} has had no other version and keeps it.")
+                notes.append(f"{one.machine_id} has no version before and keeps it.")
                 continue
             try:
                 self._deployments.ask(

@@ -21,6 +21,8 @@ class MachinePolicyView(View):
     """By the machine's clock."""
     version_before: str | None
     """Id of the version that a rollback asked for now goes to; None where there is none."""
+    rolled_back_from: str | None
+    """Id of the version that the machine had until a rollback brought the one on board; else None."""
 
 
 class MachinePoliciesView(View):
@@ -43,6 +45,16 @@ class DeployRequest(RollBackRequest):
     """Asks a machine to switch to a version."""
 
     policy_sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+
+
+class ChangeCause(StrEnum):
+    """Why the policy on a machine changed."""
+
+    DEPLOYED = "deployed"
+    ROLLED_BACK = "rolled_back"
+    """A person or a rollout asked the server for it."""
+    AT_MACHINE = "at_machine"
+    """Rolled back at the machine itself."""
 
 
 class DeploymentOutcome(StrEnum):
@@ -88,6 +100,8 @@ class WantedPolicyView(View):
     mode: Mode
     deployment_count: int
     policy_sha256: str
+    is_rollback: bool
+    """The machine then keeps from going back to the version that it has now."""
     age_s: float
     """Since a person or rollout asked for it."""
     files: tuple[VersionFileView, ...]

@@ -171,6 +171,8 @@ class MachinePolicy(Base):
     """None: no usable policy on board."""
     since_utc: Mapped[datetime]
     """By the machine's clock."""
+    cause: Mapped[str | None] = mapped_column(String(16))
+    """server.schemas.deployments.ChangeCause; None: the machine itself, for example at a start."""
     __table_args__ = (Index("ix_machine_policies_machine_id_since_utc", "machine_id", "since_utc"),)
 
 

@@ -56,6 +56,9 @@ def test_a_version_is_deployed_and_rolled_back(demo: Stack, open_page: Callable[
     expect(board.locator("tbody tr").first).to_contain_text("Switched")
     expect(board.locator("li").first).to_contain_text(NEWER)
     until(lambda: _on_board(demo) == NEWER, f"m001 throws with {NEWER}")
+    # A second rollback would bring back what the first took away.
+    expect(back).to_be_disabled()
+    expect(board.locator("li").first).to_contain_text(f"{OLDER} was rolled back. Deploy it")
 
 
 def test_a_rollout_asks_the_machine_and_an_abort_takes_it_back(

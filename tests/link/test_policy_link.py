@@ -15,6 +15,7 @@ from machine.policy_approval import (
     sign_list,
 )
 from machine.policy_card import file_sha256, load_card, read_policy
+from runtime.policies.slots import PolicySlots
 from runtime.process.policy_switch import SWITCHING
 from runtime.records.log_reader import read_throw_log
 from tests.link.yard import MACHINE, Machine, Yard
@@ -60,7 +61,7 @@ def version(folder, name, move_rad):
     return folder / name
 
 
-def test_deploy_refuse_roll_back_and_power_cuts(place):
+def test_deploy_refuse_roll_back_and_power_cuts(place, capsys):
     yard, server, folder = place
     data = folder / MACHINE
     yard.ready()
@@ -95,23 +96,45 @@ def test_deploy_refuse_roll_back_and_power_cuts(place):
     wait_for(lambda: len(yard.server.states) > known and aboard(yard) == second, 90.0)
     yard.ready()
 
-    # Taken back at the machine, and again with the machine off.
+    # Taken back at the machine; a second rollback does not bring it again.
     assert main(roll_back) == 0
     wait_for(lambda: aboard(yard) == installed)
     wait_for(lambda: told(yard, "policy_switched")[-1]["policy_sha256"] == installed)
     assert told(yard, "policy_switched")[-1]["deployment_count"] is None
+    assert main(roll_back) == 1
+    capsys.readouterr()
+
+    # Taken back by the server, which names it; refused after a power cut as well.
+    server.want(folder / "second-2d", 3)
+    wait_for(lambda: aboard(yard) == second, 90.0)
+    third = server.want(version(folder, "third-2d", 0.27), 4, is_rollback=True)
+    wait_for(lambda: aboard(yard) == third, 90.0)
+    slots = PolicySlots(data / "policies")
+    wait_for(lambda: slots.of(Mode.PLANAR).deployment_count == 4)
+    yard.machine.kill()
+    assert main(roll_back) == 1
+    said = capsys.readouterr().err
+    assert f"no version before policy {third[:12]}" in said
+    assert f"policy {second[:12]} was rolled back" in said
+    yard.machine.start()
+    yard.ready()
+
+    # Taken back with the machine off.
+    server.want(folder / "second-2d", 5)
+    wait_for(lambda: aboard(yard) == second, 90.0)
+    wait_for(lambda: slots.of(Mode.PLANAR).deployment_count == 5)
     yard.machine.stop()
-    server.want(version(folder, "unwanted-2d", 0.26), 3)
+    server.want(version(folder, "unwanted-2d", 0.26), 6)
     assert main(roll_back) == 0
     known = len(yard.server.states)
     yard.machine.start()
-    wait_for(lambda: len(yard.server.states) > known and aboard(yard) == second, 90.0)
+    wait_for(lambda: len(yard.server.states) > known and aboard(yard) == third, 90.0)
     # What was asked for before that is refused; what is asked for after it is carried out.
     refused = wait_for(lambda: told(yard, "policy_refused")[1:], 90.0)
-    assert [data["deployment_count"] for data in refused] == [3]
+    assert [data["deployment_count"] for data in refused] == [6]
     assert "rolled back at the machine" in refused[0]["detail"]
-    assert aboard(yard) == second
-    meant = server.want(folder / "unwanted-2d", 4)
+    assert aboard(yard) == third
+    meant = server.want(folder / "unwanted-2d", 7)
     wait_for(lambda: aboard(yard) == meant, 90.0)
 
 

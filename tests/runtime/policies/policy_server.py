@@ -36,7 +36,7 @@ class PolicyServer(ThreadingHTTPServer):
     def url(self) -> str:
         return f"http://127.0.0.1:{self.server_address[1]}"
 
-    def want(self, folder: Path, deployment_count: int) -> str:
+    def want(self, folder: Path, deployment_count: int, *, is_rollback: bool = False) -> str:
         """Deploy a version; replaces what was wanted in its mode."""
         card = load_card(folder)
         self.folders[card.policy_sha256] = folder
@@ -52,6 +52,7 @@ class PolicyServer(ThreadingHTTPServer):
         row = {
             "mode": card.mode.value,
             "deployment_count": deployment_count,
+            "is_rollback": is_rollback,
             "policy_sha256": card.policy_sha256,
             "asked_s": time.monotonic(),
             "files": files,

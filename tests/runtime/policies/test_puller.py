@@ -4,6 +4,7 @@ import pytest
 
 from cli.main import main
 from machine.conventions import Mode
+from machine.errors import UsageError
 from machine.messages import EventKind
 from runtime.policies import puller as puller_module
 from runtime.policies.puller import ROLLBACK_FILE, PolicyPuller, RollbackRequest
@@ -34,6 +35,7 @@ class Link:
             "mode": "2d",
             "policy_sha256": "b" * 64,
             "slot": self.offers[-1]["policy_sha256"],
+            "is_rollback": self.offers[-1]["is_rollback"],
             "deployment_count": None,
             "is_removed": False,
         }
@@ -66,6 +68,8 @@ def test_a_rollback_whose_offer_died_with_the_processes_is_offered_again(link, s
     link.look()
     assert not (tmp_path / ROLLBACK_FILE).exists()
     assert len(link.offers) == 2
+    with pytest.raises(UsageError, match="policy aaaaaaaaaaaa was rolled back"):
+        slots.previous(Mode.PLANAR)
 
 
 def test_a_rollback_that_was_done_when_the_processes_died_is_not_done_again(link, slots, tmp_path):
@@ -101,3 +105,8 @@ def test_a_rollback_of_a_machine_that_is_off_takes_the_place_of_one_that_waits(t
     assert slots.of(Mode.PLANAR).current == INSTALLED
     assert not waits.exists()
     assert "the installed policy" in capsys.readouterr().out
+    assert main(["rollback", "--data", str(tmp_path), "--mode", "2d"]) == 1
+    said = capsys.readouterr().err
+    assert "no version before the installed policy on this machine" in said
+    assert f"policy {NEW[:12]} was rolled back; deploy" in said
+    assert slots.of(Mode.PLANAR).current == INSTALLED

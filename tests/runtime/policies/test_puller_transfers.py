@@ -46,12 +46,19 @@ def refusals():
 
 
 @pytest.fixture
-def puller(server, slots, offers, refusals, tmp_path, monkeypatch):
+def rollbacks():
+    """Whether each offer is one."""
+    return []
+
+
+@pytest.fixture
+def puller(server, slots, offers, refusals, rollbacks, tmp_path, monkeypatch):
     """Longer than the test: only an answer, or what does not wait for it, lets it go on."""
     monkeypatch.setattr(download, "TIMEOUT_S", 600.0)
 
     def send(_, body):
         offers.append((body["policy_sha256"], body["deployment_count"]))
+        rollbacks.append(body["is_rollback"])
         refusals.append(body["refusal"])
         return True
 
@@ -61,8 +68,9 @@ def puller(server, slots, offers, refusals, tmp_path, monkeypatch):
     found.close()
 
 
-def switched(puller, slot, count):
+def switched(puller, slot, count, is_rollback=False):
     data = {"mode": "2d", "policy_sha256": "c" * 64, "slot": slot, "deployment_count": count}
+    data["is_rollback"] = is_rollback
     puller.take_event(EventKind.POLICY_SWITCHED, data)
 
 
@@ -77,7 +85,7 @@ def test_a_rollback_at_the_machine_does_not_wait_for_a_transfer_and_ends_the_dep
     (tmp_path / "slots" / ROLLBACK_FILE).write_text('{"mode": "2d", "policy_sha256": ""}')
     wait_for(lambda: offers)
     assert offers[0] == (INSTALLED, None)
-    switched(puller, INSTALLED, None)
+    switched(puller, INSTALLED, None, is_rollback=True)
     # Whoever asked for the version before is told.
     server.may_answer.set()
     wait_for(lambda: (new, 2) in offers)
@@ -109,6 +117,14 @@ def test_a_rollback_with_the_machine_off_ends_what_was_asked_for_before(
     puller.poll()
     puller.poll()
     assert (offers[-1], refusals[-1]) == ((new, 3), "")
+
+
+def test_a_rollback_by_the_server_is_offered_as_one(server, versions, rollbacks, puller):
+    for count, is_rollback in ((1, False), (2, True)):
+        server.want(versions[0], count, is_rollback=is_rollback)
+        puller.poll()
+        puller.poll()
+    assert rollbacks == [False, True]
 
 
 def test_nothing_of_the_server_is_offered_while_a_rollback_waits(

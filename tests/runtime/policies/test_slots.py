@@ -46,6 +46,34 @@ def test_two_slots_a_mode_and_back(tmp_path):
     assert PolicySlots(tmp_path).of(Mode.SPATIAL).current == INSTALLED
 
 
+def test_no_rollback_leads_to_a_version_that_was_rolled_back_until_it_is_deployed_anew(tmp_path):
+    slots = PolicySlots(tmp_path)
+    slots.switch(Mode.PLANAR, A, 1)
+    slots.switch(Mode.PLANAR, B, 2)
+    assert slots.roll_back(Mode.PLANAR) == A
+    with pytest.raises(
+        UsageError, match=r"before policy a{12} .*policy b{12} was rolled back; deploy"
+    ):
+        PolicySlots(tmp_path).roll_back(Mode.PLANAR)
+    assert PolicySlots(tmp_path).of(Mode.PLANAR).current == A
+    # The version in use deployed again is no other version.
+    slots.switch(Mode.PLANAR, A, 3)
+    with pytest.raises(UsageError, match="was rolled back"):
+        slots.roll_back(Mode.PLANAR)
+    slots.switch(Mode.PLANAR, B, 4)
+    assert slots.roll_back(Mode.PLANAR) == A
+    # By the server.
+    slots.switch(Mode.PLANAR, INSTALLED, 5, is_rollback=True)
+    with pytest.raises(UsageError, match=r"before the installed policy .*policy a{12} was rolled"):
+        slots.roll_back(Mode.PLANAR)
+
+
+def test_slots_of_older_software_go_back_as_before(tmp_path):
+    text = json.dumps({"2d": {"current": A, "previous": B, "rolled_back_s": 1.0}})
+    (tmp_path / "slots.json").write_text(text)
+    assert PolicySlots(tmp_path).roll_back(Mode.PLANAR) == B
+
+
 @pytest.mark.parametrize("step", ["write", "replace"])
 def test_a_switch_that_is_cut_off_leaves_the_slots_as_they_were(tmp_path, monkeypatch, step):
     slots = PolicySlots(tmp_path)
@@ -104,6 +132,11 @@ def test_a_version_that_cannot_be_used_gives_way_to_the_one_before_and_that_to_t
     assert board.start(Mode.PLANAR).card.policy_id == "second-2d"
     (second / "policy.onnx").write_bytes(b"cut off")
     assert board.start(Mode.PLANAR).card.policy_id == "first-2d"
+    # One that a person took out of use is the last to be tried.
+    slots.roll_back(Mode.PLANAR)
+    slots.switch(Mode.PLANAR, second_sha256, is_rollback=True)
+    assert board.start(Mode.PLANAR).card.policy_id == "quick-2d"
+    slots.switch(Mode.PLANAR, first_sha256)
     (first / "card.json").unlink()
     assert board.start(Mode.PLANAR).card.policy_id == "quick-2d"
     assert board.start(Mode.SPATIAL).card.policy_id == "quick-3d"

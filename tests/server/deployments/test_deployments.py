@@ -105,6 +105,29 @@ def test_back_to_the_version_before_and_what_is_replaced(running, machine, eve, 
     wait_for(lambda: (newest(eve)["outcome"], newest(eve)["detail"]) == ("refused", detail))
 
 
+def test_a_second_rollback_does_not_bring_back_what_the_first_took_away(
+    running, machine, eve, sha256
+):
+    machine.event(EventKind.POLICY_SWITCHED, mode="2d", policy_sha256=sha256)
+    machine.event(EventKind.POLICY_SWITCHED, mode="2d", policy_sha256="e" * 64)
+
+    def ask():
+        reply = eve.post("/machines/m001/policies/2d/rollback", json=REASON)
+        return reply if reply.status_code == 201 else None
+
+    count = wait_for(ask).json()["deployment_count"]
+    data = {"mode": "2d", "policy_sha256": sha256, "deployment_count": count}
+    machine.event(EventKind.POLICY_SWITCHED, **data)
+    wait_for(lambda: newest(eve)["outcome"] == "switched")
+    second = eve.post("/machines/m001/policies/2d/rollback", json=REASON)
+    error = second.json()["error"]
+    assert (second.status_code, error["code"]) == (409, "no_version_before")
+    assert error["message"] == (
+        "m001 has no version before swing-2d in 2d: eeeeeeeeeeee was rolled back. Deploy the version that "
+        "it is to have."
+    )
+
+
 def test_a_start_with_the_wanted_version_ends_a_deployment(running, machine, eve, sha256):
     count = deploy(eve, sha256).json()["deployment_count"]
     machine.event(EventKind.BOOTED, policy_sha256={"2d": "f" * 64})

@@ -4,9 +4,13 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
+from machine.conventions import Mode
 from machine.messages import EventBatch, EventKind, MachineEvent
+from server.deployments.machine_policies import machines_that_need, rollback_of
 from server.errors import NotFoundError
-from server.store.models import MachinePolicy
+from server.store.models import Deployment, MachinePolicy
+from tests.cases import each
+from tests.server.store.test_database import machine
 
 START = datetime(2026, 3, 1, 6, 0, tzinfo=UTC)
 VERSIONS = ("a" * 64, "b" * 64, "c" * 64)
@@ -37,6 +41,22 @@ def booted(machine_id, sequence, time, aboard, boot="b"):
 
 def take(ingest, *events):
     ingest.take(EventBatch(machine_id=events[0].machine_id, boot_id="b", events=events))
+
+
+def pending(machine_id, policy_sha256, count, *, is_rollback):
+    return Deployment(
+        machine_id=machine_id,
+        mode="2d",
+        deployment_count=count,
+        policy_sha256=policy_sha256,
+        is_rollback=is_rollback,
+        reason="test",
+        created_by="eve",
+        created_utc=START,
+        outcome="pending",
+        detail="",
+        ended_utc=None,
+    )
 
 
 def aboard(assembled, machine_id, time):
@@ -99,6 +119,90 @@ def test_nul_characters_in_what_a_machine_says_of_its_policies_do_no_harm(assemb
     take(ingest, event.model_copy(update={"kind": EventKind.POLICY_SWITCHED, "data": data}))
     assert aboard(assembled, "m001", START)["2d"] == "ab"
     assert aboard(assembled, "m001", None)["2d"] == "c"
+
+
+DEPLOYED, BACK, AT_MACHINE, ITSELF = "deployed", "back", "at machine", "itself"
+WAYS = {
+    # How the machine came to a version; which one a rollback leads to; which one was taken away.
+    "deployments": [(DEPLOYED, "a", "", ""), (DEPLOYED, "b", "a", ""), (DEPLOYED, "c", "b", "")],
+    "back step by step": [
+        (DEPLOYED, "a", "", ""),
+        (DEPLOYED, "b", "a", ""),
+        (DEPLOYED, "c", "b", ""),
+        (BACK, "b", "a", "c"),
+        (BACK, "a", "", "b"),
+    ],
+    "back and deployed anew": [
+        (DEPLOYED, "a", "", ""),
+        (DEPLOYED, "b", "a", ""),
+        (BACK, "a", "", "b"),
+        (DEPLOYED, "b", "a", ""),
+        (BACK, "a", "", "b"),
+        (DEPLOYED, "c", "a", ""),
+    ],
+    "back at the machine": [
+        (ITSELF, "a", "", ""),
+        (DEPLOYED, "b", "a", ""),
+        (AT_MACHINE, "a", "", "b"),
+        (DEPLOYED, "c", "a", ""),
+    ],
+    "the same deployed twice": [
+        (DEPLOYED, "a", "", ""),
+        (DEPLOYED, "b", "a", ""),
+        (DEPLOYED, "a", "b", ""),
+        (BACK, "b", "", "a"),
+    ],
+    "back at the server to one it never had": [
+        (DEPLOYED, "a", "", ""),
+        (DEPLOYED, "b", "a", ""),
+        (BACK, "c", "a", "b"),
+    ],
+    "started with the one before": [
+        (ITSELF, "a", "", ""),
+        (DEPLOYED, "b", "a", ""),
+        (ITSELF, "a", "", ""),
+        (ITSELF, "b", "a", ""),
+    ],
+}
+
+
+@each("case", WAYS)
+def test_a_rollback_leads_to_no_version_that_was_rolled_back(assembled, ingest, case):
+    ingest.on_store = [
+        assembled.parts.machine_policies.record,
+        assembled.parts.deployments.record,
+    ]
+    database, machine_id, steps = assembled.parts.database, case.replace(" ", "-")[:32], WAYS[case]
+    with database.write() as session:
+        session.add(machine(machine_id))
+    before = taken = ""
+    for count, (way, letter, before, taken) in enumerate(steps, 1):
+        sha256 = letter * 64
+        data = {"mode": "2d", "policy_sha256": sha256, "slot": sha256, "deployment_count": None}
+        if way in (DEPLOYED, BACK):
+            data["deployment_count"] = count
+            with database.write() as session:
+                session.add(pending(machine_id, sha256, count, is_rollback=way == BACK))
+        event = booted(machine_id, count, START + timedelta(hours=count), {"2d": sha256})
+        if way != ITSELF:
+            event = event.model_copy(update={"kind": EventKind.POLICY_SWITCHED, "data": data})
+        take(ingest, event)
+        with database.read() as session:
+            found = rollback_of(session, machine_id, Mode.PLANAR)
+        assert found == tuple(one * 64 or None for one in (before, taken)), count
+    with database.read() as session:
+        # Versions that the machine may still load stay.
+        assert all(machines_that_need(session, one * 64) for one in {before, taken} - {""})
+
+
+def test_a_start_after_a_rollback_whose_end_was_not_reported_is_one(assembled, ingest):
+    ingest.on_store.append(assembled.parts.deployments.record)
+    for count, letter in enumerate("aba", 1):
+        with assembled.parts.database.write() as session:
+            session.add(pending("m001", letter * 64, count, is_rollback=count == 3))
+        take(ingest, booted("m001", count, START, {"2d": letter * 64}))
+    view = assembled.parts.machine_policies.view("m001", None).policies[0]
+    assert (view.version_before, view.rolled_back_from) == (None, "b" * 12)
 
 
 def test_an_older_machine_that_does_not_say_adds_nothing(assembled, ingest):

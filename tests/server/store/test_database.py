@@ -1,4 +1,5 @@
 import threading
+from datetime import timedelta
 
 import pytest
 from alembic import command
@@ -6,11 +7,13 @@ from alembic.util import CommandError
 from sqlalchemy import create_engine, inspect, text
 from sqlalchemy.exc import IntegrityError
 
+from machine.conventions import Mode
 from server.clock import utc_now
 from server.composition import prepare_database
+from server.deployments.machine_policies import version_before
 from server.store import database as module
 from server.store.database import Database, DatabaseError, DatabaseStanding, alembic_config, upgrade
-from server.store.models import Base, Lease, Machine, User
+from server.store.models import Base, Deployment, Lease, Machine, MachinePolicy, User
 from tests.server.server_bench import make_settings
 
 
@@ -53,6 +56,45 @@ def test_schema_goes_up_and_down_and_agrees_with_the_models(database_url):
     engine.dispose()
     upgrade(database_url)
     command.check(alembic_config(database_url))
+
+
+def test_causes_of_earlier_policy_changes_come_of_the_deployments(database_url):
+    """a deployed, b deployed, back to a, c at the machine's own start."""
+    upgrade(database_url)
+    database = Database(database_url)
+    start = utc_now()
+    steps = [("a", False), ("b", False), ("a", True), ("c", None)]
+    with database.write() as session:
+        session.add(machine("m001"))
+        for count, (letter, is_rollback) in enumerate(steps, 1):
+            at = start + timedelta(minutes=count)
+            common = {"machine_id": "m001", "mode": "2d", "policy_sha256": letter * 64}
+            session.add(MachinePolicy(**common, since_utc=at))
+            session.flush()
+            if is_rollback is None:
+                continue
+            session.add(
+                Deployment(
+                    **common,
+                    deployment_count=count,
+                    is_rollback=is_rollback,
+                    reason="test",
+                    created_by="eve",
+                    created_utc=at,
+                    outcome="switched",
+                    detail="",
+                    ended_utc=at + timedelta(seconds=1),
+                )
+            )
+    database.close()
+    command.downgrade(alembic_config(database_url), "0027")
+    upgrade(database_url)
+    database = Database(database_url)
+    with database.read() as session:
+        rows = session.query(MachinePolicy).order_by(MachinePolicy.machine_policy_count)
+        assert [row.cause for row in rows] == ["deployed", "deployed", "rolled_back", None]
+        assert version_before(session, "m001", Mode.PLANAR) == "a" * 64
+    database.close()
 
 
 def test_a_connection_in_use_is_closed_when_it_comes_back(database):

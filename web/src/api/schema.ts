@@ -4329,6 +4329,8 @@ export interface components {
             policy_id: string | null;
             /** Policy Sha256 */
             policy_sha256: string | null;
+            /** Rolled Back From */
+            rolled_back_from: string | null;
             /**
              * Since Utc
              * Format: date-time
@@ -6553,6 +6555,8 @@ export interface components {
             deployment_count: number;
             /** Files */
             files: components["schemas"]["VersionFileView"][];
+            /** Is Rollback */
+            is_rollback: boolean;
             mode: components["schemas"]["Mode"];
             /** Policy Sha256 */
             policy_sha256: string;

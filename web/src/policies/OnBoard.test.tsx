@@ -13,6 +13,7 @@ const OLD = { ...NEW, policy_sha256: "b".repeat(64), policy_id: "v7" };
 let posted: unknown[] = [];
 let deployments: unknown[] = [];
 let onBoard = NEW;
+let rolledBack: string | null = null;
 
 type Asked = { params: { query?: { at?: string } } };
 
@@ -24,7 +25,8 @@ function serve(earlier: (typeof OLD)[], permissions = ["policy.deploy"]) {
     if (path.endsWith("/deployments")) return answer(deployments);
     const at = options.params.query?.at;
     const isBefore = at !== undefined && Date.parse(at) < Date.parse(SINCE);
-    const now = [{ ...onBoard, version_before: earlier[0]?.policy_id ?? null }];
+    const back = { version_before: earlier[0]?.policy_id ?? null, rolled_back_from: rolledBack };
+    const now = [{ ...onBoard, ...back }];
     return answer({ machine_id: "m001", at_utc: SINCE, policies: isBefore ? earlier : now });
   }) as never);
   vi.spyOn(api, "POST").mockImplementation(((path: string, options: unknown) => {
@@ -53,6 +55,7 @@ afterEach(() => {
   posted = [];
   deployments = [];
   onBoard = NEW;
+  rolledBack = null;
   chooseZone("");
 });
 
@@ -76,6 +79,15 @@ describe("what a machine has on board", () => {
   it("offers no way back where there was no other version", async () => {
     serve([]);
     expect(await screen.findByText("No earlier version.")).toBeTruthy();
+    expect((await rollBack()).disabled).toBe(true);
+  });
+
+  it("offers no way back to a version that was rolled back, and says so", async () => {
+    rolledBack = "v9";
+    serve([]);
+    expect(
+      await screen.findByText(/No version before v8: v9 was rolled back\. Deploy it/),
+    ).toBeTruthy();
     expect((await rollBack()).disabled).toBe(true);
   });
 

@@ -61,7 +61,7 @@ function ModeRow({ machineId, entry, pending }: RowProps) {
   const lamp = useLive((live) => live.machines[machineId]?.lamp ?? null);
   const { rollBack } = usePolicyActions(machineId);
   const earlier = entry.version_before;
-  const why = rollBackRefusal(mayDeploy, earlier !== null, pending !== null);
+  const why = rollBackRefusal(mayDeploy, entry, pending !== null);
   const close = () => {
     setOpen(false);
     rollBack.reset();
@@ -105,7 +105,7 @@ function ModeRow({ machineId, entry, pending }: RowProps) {
           <p>
             {machineId} throws in {entry.mode.toUpperCase()} with {earlier} again instead of{" "}
             {nameOf(entry)}, as soon as no plan is armed. Plans that were previewed with{" "}
-            {nameOf(entry)} are refused.
+            {nameOf(entry)} are refused. To throw with {nameOf(entry)} again, deploy it.
           </p>
         </ConfirmDialog>
       )}
@@ -113,10 +113,14 @@ function ModeRow({ machineId, entry, pending }: RowProps) {
   );
 }
 
-function rollBackRefusal(mayDeploy: boolean, hasEarlier: boolean, isPending: boolean) {
+function rollBackRefusal(mayDeploy: boolean, entry: Entry, isPending: boolean) {
   if (!mayDeploy) return "Your role may look, not change.";
   if (isPending) return "Waits for the machine. Deploy what is on board to call it off.";
-  return hasEarlier ? null : "No earlier version.";
+  if (entry.version_before !== null) return null;
+  const taken = entry.rolled_back_from;
+  return taken === null
+    ? "No earlier version."
+    : `No version before ${nameOf(entry)}: ${taken} was rolled back. Deploy it to throw with it again.`;
 }
 
 /** What ran on the machine at a moment that a person names. */

@@ -36,6 +36,7 @@ const onBoard = (sha256: string): OnBoard[] => [
     policy_id: null,
     since_utc: "2026-11-27T09:00:00Z",
     version_before: null,
+    rolled_back_from: null,
   },
 ];
 
