@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any, BinaryIO, Final
 
-from sqlalchemy import ColumnElement, func, select
+from sqlalchemy import ColumnElement, func, or_, select
 from sqlalchemy.orm import Session as DatabaseSession
 
 from machine.errors import PolicyError
@@ -55,6 +55,8 @@ from server.store.models import Audit, Machine, StoredThrowLog, Throw
 from server.throws.throw_logs import LogStore
 from server.version import SOFTWARE
 
+NAMED_COUNT: Final = 20
+"""Machines that are named where an unknown one is asked for."""
 MAX_THROW_COUNT: Final = 1000
 MAX_PERIOD: Final = timedelta(days=366)
 MAX_LOG_BYTES: Final = 1024**3
@@ -158,11 +160,10 @@ class Dossiers:
         """How much a dossier of a period would hold.
 
         Raises:
-            NotFoundError: there is no such machine.
+            NotFoundError: no machine of this id is in service or was.
         """
         with self._database.read() as database:
-            if database.get(Machine, machine_id) is None:
-                raise NotFoundError("no_machine", f"There is no machine '{machine_id[:40]}'.")
+            _require_machine(database, machine_id)
             count, log_bytes = database.execute(
                 select(func.count(), func.coalesce(func.sum(StoredThrowLog.size_bytes), 0))
                 .select_from(Throw)
@@ -314,6 +315,18 @@ class Dossiers:
         about = manifest.throw_id or f"{manifest.machine_id}_{(manifest.since_utc or '')[:10]}"
         size_bytes = len(before) + body.size_bytes + len(after)
         return Dossier(f"dossier_{about}.zip", size_bytes, before, body.scratch, after)
+
+
+def _require_machine(database: DatabaseSession, machine_id: str) -> None:
+    """Refuse a machine that was never in service; retired ones keep their dossiers."""
+    has_served = or_(Machine.is_listed, Machine.retired_utc.is_not(None))
+    known = database.scalars(
+        select(Machine.machine_id).where(has_served).order_by("machine_id")
+    ).all()
+    if machine_id not in known:
+        more = "" if len(known) <= NAMED_COUNT else f" and {len(known) - NAMED_COUNT} more"
+        names = f"known: {', '.join(known[:NAMED_COUNT])}{more}" if known else "none is known yet"
+        raise NotFoundError("no_machine", f"There is no machine '{machine_id[:40]}'; {names}.")
 
 
 def _in_period(

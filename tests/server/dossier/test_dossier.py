@@ -29,10 +29,12 @@ from server.dossier.signed_archive import (
 from server.errors import ConflictError, NotFoundError, TooManyRequestsError
 from server.schemas.console import Role
 from server.schemas.history import Outcome
+from server.store.models import Machine
 from server.throws.throw_history import ThrowFilter
 from tests.cases import each
 from tests.server.fleet.test_machine_summaries import add_throws
 from tests.server.server_bench import PASSWORD, wait_for
+from tests.server.store.test_database import machine
 
 KEY = new_private_key()
 
@@ -252,15 +254,33 @@ def _all():
     return ThrowFilter()
 
 
+def set_machine(parts, machine_id, **values):
+    with parts.database.write() as database:
+        row = database.get_one(Machine, machine_id)
+        for name, value in values.items():
+            setattr(row, name, value)
+
+
 def test_what_a_period_may_hold(assembled, monkeypatch, tmp_path):
     parts, sue = assembled.parts, assembled.session("sue", Role.SUPERVISOR)
     parts.uploads.start()
     parts.approvals.start()
     begin, end = utc_now() - timedelta(hours=1), utc_now() + timedelta(hours=1)
+    spare = "m003"
+    with parts.database.write() as database:
+        database.add(machine(spare))
+    with pytest.raises(NotFoundError, match="no machine 'm001'; none is known yet"):
+        parts.dossiers.of_period("m001", begin, end, sue)
+    for name in ("m001", "m002"):
+        set_machine(parts, name, is_listed=True)
     with pytest.raises(NotFoundError, match="no ended throw"):
         parts.dossiers.of_period("m001", begin, end, sue)
-    with pytest.raises(NotFoundError, match="no machine"):
-        parts.dossiers.of_period("m099", begin, end, sue)
+    for name in ("m099", spare):
+        with pytest.raises(NotFoundError, match=f"no machine '{name}'; known: m001, m002"):
+            parts.dossiers.of_period(name, begin, end, sue)
+    set_machine(parts, spare, retired_utc=begin)
+    with pytest.raises(NotFoundError, match=f"{spare} has no ended throw"):
+        parts.dossiers.of_period(spare, begin, end, sue)
     add_throws(parts, 3, 0.1)
     add_throws(parts, 1, 0.1, machine_id="m002")
     add_throws(parts, 1, 0.1, phase="throwing")
