@@ -117,6 +117,10 @@ class PolicyPuller:
             if thread.is_alive():
                 thread.join(timeout_s)
 
+    def rolled_back_from(self) -> dict[str, str]:
+        """For the server, which may not know of it: a machine that is off can be rolled back too."""
+        return self._slots.rolled_back_from()
+
     def take_event(self, kind: EventKind, data: dict[str, Any]) -> None:
         """What the control process did with an offer; on any thread, once the event is stored."""
         if kind not in (EventKind.POLICY_SWITCHED, EventKind.POLICY_REFUSED):

@@ -146,6 +146,14 @@ class PolicySlots:
             )
         return slots.previous
 
+    def rolled_back_from(self) -> dict[str, str]:
+        """Mode -> version that a rollback at the machine took away, where no deployment came since."""
+        return {
+            mode.value: slots.previous
+            for mode, slots in self._read().items()
+            if slots.previous and slots.is_previous_rolled_back and slots.rolled_back_s is not None
+        }
+
     def add(self, incoming: Path, policy_sha256: str) -> Path:
         """Take in a folder that is complete; returns where it lies now.
 

@@ -236,6 +236,7 @@ class LinkProcess:
             "software": state.software,
             "model_sha256": state.model_sha256,
             "policy_sha256": state.policy_sha256,
+            "rolled_back_from": self._policies.rolled_back_from(),
         }
         draft = EventDraft(EventKind.BOOTED, state.t_mono_ns, None, None, data, utc_now())
         interrupted = self._journal.begin_boot(state.boot_id, draft)

@@ -29,6 +29,7 @@ from server.machines.machine_registry import MachineRegistry
 from server.plans.policy_life import state_of
 from server.plans.policy_store import PolicyStore, StoredPolicy
 from server.schemas.deployments import (
+    ChangeCause,
     DeploymentOutcome,
     DeploymentView,
     DeployRequest,
@@ -38,7 +39,7 @@ from server.schemas.deployments import (
 )
 from server.schemas.policies import PolicyState
 from server.store.database import Database
-from server.store.models import Deployment, Policy
+from server.store.models import Deployment, MachinePolicy, Policy
 
 LISTED_COUNT: Final = 100
 FILES: Final = (POLICY_FILE, CARD_FILE, GOLDEN_FILE)
@@ -137,7 +138,7 @@ class Deployments:
         return self._add(machine_id, mode, policy, asker, is_rollback=is_rollback, on_add=on_add)
 
     def list(self, machine_id: str) -> list[DeploymentView]:
-        """The newest hundred of a machine, newest first.
+        """The newest hundred of a machine and its rollbacks without the server, newest first.
 
         Raises:
             NotFoundError: no such machine.
@@ -149,8 +150,19 @@ class Deployments:
             .order_by(Deployment.created_utc.desc(), Deployment.deployment_count.desc())
             .limit(LISTED_COUNT)
         )
+        local = (
+            select(MachinePolicy)
+            .where(
+                MachinePolicy.machine_id == machine_id,
+                MachinePolicy.cause == ChangeCause.AT_MACHINE.value,
+            )
+            .order_by(MachinePolicy.machine_policy_count.desc())
+            .limit(LISTED_COUNT)
+        )
         with self._database.read() as database:
-            return [self._view(row) for row in database.scalars(query)]
+            found = [self._view(row) for row in database.scalars(query)]
+            found += [self._view_of_local(row) for row in database.scalars(local)]
+        return sorted(found, key=lambda one: one.created_utc, reverse=True)[:LISTED_COUNT]
 
     # Machines -------------------------------------------------------------------------------------
 
@@ -310,6 +322,24 @@ class Deployments:
             outcome=DeploymentOutcome(row.outcome),
             detail=row.detail,
             ended_utc=row.ended_utc,
+        )
+
+    def _view_of_local(self, row: MachinePolicy) -> DeploymentView:
+        """A rollback at the machine itself, which no deployment asked for."""
+        policy_sha256 = row.policy_sha256 or ""
+        return DeploymentView(
+            machine_id=row.machine_id,
+            mode=Mode(row.mode),
+            deployment_count=None,
+            policy_sha256=policy_sha256,
+            policy_id=self._policies.name_of(policy_sha256),
+            is_rollback=True,
+            reason="rolled back at the machine",
+            created_by=row.machine_id,
+            created_utc=row.since_utc,
+            outcome=DeploymentOutcome.SWITCHED,
+            detail="",
+            ended_utc=row.since_utc,
         )
 
     def _files(self, policy: StoredPolicy) -> tuple[VersionFileView, ...]:

@@ -203,7 +203,7 @@ def _cause_of_switch(
 def _cause_of_start(
     database: DatabaseSession, event: MachineEvent, mode: Mode, policy_sha256: str | None
 ) -> ChangeCause | None:
-    """Why a machine started with a version: a deployment whose end it could not report, or unknown."""
+    """Why a machine started with a version: what it could not report before, or unknown."""
     pending = database.scalars(
         select(Deployment).where(
             Deployment.machine_id == event.machine_id,
@@ -212,6 +212,10 @@ def _cause_of_start(
             Deployment.outcome == DeploymentOutcome.PENDING.value,
         )
     ).first()
+    taken, last = event.data.get("rolled_back_from"), _newest(database, event.machine_id, mode)
+    if pending is None and isinstance(taken, dict) and last is not None:
+        is_taken = last.policy_sha256 is not None and taken.get(mode.value) == last.policy_sha256
+        return ChangeCause.AT_MACHINE if is_taken else None
     return _cause_of(pending)
 
 

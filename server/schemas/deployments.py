@@ -74,12 +74,14 @@ class DeploymentView(View):
 
     machine_id: str
     mode: Mode
-    deployment_count: int
+    deployment_count: int | None
+    """None: a rollback at the machine itself."""
     policy_sha256: str
     policy_id: str
     is_rollback: bool
     reason: str
     created_by: str
+    """Username; the machine's id for a rollback at the machine itself."""
     created_utc: datetime
     outcome: DeploymentOutcome
     detail: str

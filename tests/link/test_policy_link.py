@@ -129,6 +129,7 @@ def test_deploy_refuse_roll_back_and_power_cuts(place, capsys):
     known = len(yard.server.states)
     yard.machine.start()
     wait_for(lambda: len(yard.server.states) > known and aboard(yard) == third, 90.0)
+    assert told(yard, "booted")[-1]["rolled_back_from"] == {"2d": second}
     # What was asked for before that is refused; what is asked for after it is carried out.
     refused = wait_for(lambda: told(yard, "policy_refused")[1:], 90.0)
     assert [data["deployment_count"] for data in refused] == [6]

@@ -56,8 +56,10 @@ def test_no_rollback_leads_to_a_version_that_was_rolled_back_until_it_is_deploye
     ):
         PolicySlots(tmp_path).roll_back(Mode.PLANAR)
     assert PolicySlots(tmp_path).of(Mode.PLANAR).current == A
+    assert slots.rolled_back_from() == {"2d": B}
     # The version in use deployed again is no other version.
     slots.switch(Mode.PLANAR, A, 3)
+    assert slots.rolled_back_from() == {}
     with pytest.raises(UsageError, match="was rolled back"):
         slots.roll_back(Mode.PLANAR)
     slots.switch(Mode.PLANAR, B, 4)

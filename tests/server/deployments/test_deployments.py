@@ -105,6 +105,42 @@ def test_back_to_the_version_before_and_what_is_replaced(running, machine, eve, 
     wait_for(lambda: (newest(eve)["outcome"], newest(eve)["detail"]) == ("refused", detail))
 
 
+def test_rollbacks_at_the_machine_are_in_the_list_of_deployments(
+    running, machine, eve, sha256, cli
+):
+    """One while it ran, one while it was off, which its next start tells of."""
+    deploy(eve, sha256)
+
+    def local():
+        rows = eve.get("/machines/m001/deployments").json()
+        return [r for r in rows if r["deployment_count"] is None]
+
+    common = {"mode": "2d", "deployment_count": None}
+    machine.event(EventKind.POLICY_SWITCHED, **common, policy_sha256="1" * 64, slot="1" * 64)
+    (row,) = wait_for(local)
+    assert (row["created_by"], row["policy_id"]) == ("m001", "1" * 12)
+    assert (row["is_rollback"], row["reason"]) == (True, "rolled back at the machine")
+    assert row["outcome"] == "switched"
+    machine.event(EventKind.POLICY_SWITCHED, **common, policy_sha256="2" * 64)
+    machine.event(
+        EventKind.BOOTED, policy_sha256={"2d": "3" * 64}, rolled_back_from={"2d": "2" * 64}
+    )
+    wait_for(lambda: [r["policy_id"] for r in local()] == ["3" * 12, "1" * 12])
+    # A start with another version for any other reason is none.
+    machine.event(
+        EventKind.BOOTED, policy_sha256={"2d": "4" * 64}, rolled_back_from={"2d": "2" * 64}
+    )
+
+    def aboard():
+        policies = eve.get("/machines/m001/policies").json()["policies"]
+        return next(p["policy_sha256"] for p in policies if p["mode"] == "2d")
+
+    wait_for(lambda: aboard() == "4" * 64)
+    assert len(local()) == 2
+    code, text = cli("history", "--machine", "m001")
+    assert (code, "switched  m001: rolled back at the machine" in text) == (0, True)
+
+
 def test_a_second_rollback_does_not_bring_back_what_the_first_took_away(
     running, machine, eve, sha256
 ):

@@ -3010,7 +3010,7 @@ export interface components {
              */
             created_utc: string;
             /** Deployment Count */
-            deployment_count: number;
+            deployment_count: number | null;
             /** Detail */
             detail: string;
             /** Ended Utc */

@@ -174,7 +174,7 @@ function History({ deployments }: { deployments: readonly Deployment[] }) {
         </thead>
         <tbody>
           {deployments.map((one) => (
-            <tr key={`${one.mode}-${one.deployment_count}`}>
+            <tr key={`${one.mode}-${one.deployment_count}-${one.created_utc}`}>
               <td>{localStamp(one.created_utc)}</td>
               <td>{one.mode.toUpperCase()}</td>
               <td>
