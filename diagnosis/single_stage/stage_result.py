@@ -292,7 +292,7 @@ def _find_ambiguity(
             separating_motion={"kind": labels.stage.value, "joint": labels.joint, "words": motion},
             why=(
                 f"held-out data do not tell them apart (they leave {math.sqrt(best.held_out):.3g} and "
-                f"{math.sqrt(rival.held_out):.3g} {labels.unit}, {lead:.1f} standard errors apart; "
+                f"{math.sqrt(rival.held_out):.3g} {labels.unit}, {abs(lead):.1f} standard errors apart; "
                 f"probabilities {best.probability:.2f} and {rival.probability:.2f}); they differ in "
                 f"{', '.join(sorted(difference))}"
             ),

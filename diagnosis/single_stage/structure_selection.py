@@ -129,8 +129,9 @@ class Selection:
     def is_possible(self, rival: ScoredStructure) -> bool:
         """Whether a structure may be true in place of the best.
 
-        Where effects leave more than noise, the likelihood is too sure of itself: errors of the best
-        structure last longer than the residual's correlation. There the held-out blocks have to agree.
+        The held-out blocks have to agree with the likelihood. Where effects leave more than noise, it is too
+        sure of itself: errors of the best structure last longer than the residual's correlation. Where only
+        noise is left, structures that predict it equally well may differ in their number of parameters alone.
         """
         if rival.probability >= AMBIGUOUS_RATIO * self.best.probability:
             return True
@@ -138,7 +139,7 @@ class Selection:
             set(one.effects) < set(rival.effects) and one.score >= rival.score
             for one in self.ranked
         )
-        return not (is_padded or self.is_noise_like) and self.lead(rival) < MIN_LEAD_SD
+        return not is_padded and self.lead(rival) < (0.0 if self.is_noise_like else MIN_LEAD_SD)
 
     def inclusion(self) -> dict[str, float]:
         """Posterior inclusion probability of each effect."""

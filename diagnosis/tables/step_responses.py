@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from machine.conventions import Array
+from machine.conventions import Array, BoolArray
 
 SAME_COMMAND_RATIO: Final = 0.01
 """Change of the command, as a share of full, below which it is held."""
@@ -21,6 +21,9 @@ MIN_HOLD_S: Final = 0.6
 """Shortest step, s."""
 MAX_EDGE_TICKS: Final = 3
 """Longest edge of a step, ticks."""
+RESTING_S: Final = 0.1
+"""Time before a step over which the joint's mean speed tells whether it rests, s: within some ticks a coarse
+encoder may show one of its steps."""
 RESTING_SPEED_RATIO: Final = 0.1
 """Speed before a step, as a share of that after it, below which the joint rests."""
 MIN_STARTS_COUNT: Final = 2
@@ -29,8 +32,8 @@ NEARLY_TOP_RATIO: Final = 0.93
 """Share of the largest steady speed from which a level is as fast as any: at one command it varies by some
 percent with place and load."""
 SATURATED_SPAN_RATIO: Final = 1.2
-"""Ratio of the largest to the smallest such level from which the joint is saturated: proportional ones would
-differ by more than twice what `NEARLY_TOP_RATIO` lets pass."""
+"""Ratio of the largest level to the smallest such one from which the joint is saturated: the speeds of
+proportional ones would differ by more than twice what `NEARLY_TOP_RATIO` lets pass."""
 LOST_TRAVEL_SIGNIFICANCE: Final = 3.0
 """Lost travel, in its standard errors, from which it shows."""
 
@@ -79,7 +82,8 @@ def find_step_responses(
             and abs(command[begin]) >= MIN_LEVEL_RATIO
         )
         if is_step:
-            before = abs(float(np.mean(speed[start - MAX_EDGE_TICKS : start])))
+            resting = max(round(RESTING_S / step_s), MAX_EDGE_TICKS)
+            before = abs(float(np.mean(speed[start - resting : start])))
             if before <= max(RESTING_SPEED_RATIO * abs(steady), least_speed):
                 is_reversal = way * steady < 0.0
                 found.append(
@@ -111,11 +115,19 @@ def _measure(
     if abs(steady) <= least_speed:
         return StepResponse(tick, level, math.nan, math.nan, steady, False)
     share = after / steady
-    low_s, middle_s, high_s = (float(np.argmax(share >= one)) * step_s for one in (0.2, 0.6, 0.63))
+    middle, high = (int(np.argmax(share >= one)) for one in (0.6, 0.63))
+    # From the middle back: a coarse encoder may show one of its steps before the joint moves.
+    low = _end_of(share[:middle] < 0.2)
     is_moving = after * math.copysign(1.0, steady) > least_speed
-    moves_s = float(np.argmax(is_moving) - MAX_EDGE_TICKS) * step_s
-    onset_s = max(low_s - 0.5 * (middle_s - low_s), moves_s)
+    moves = _end_of(~is_moving[:low]) - MAX_EDGE_TICKS
+    onset_s = max(low - 0.5 * (middle - low), moves, 0.0) * step_s
+    high_s = high * step_s
     return StepResponse(tick, level, onset_s, high_s - onset_s, steady, False)
+
+
+def _end_of(is_true: BoolArray) -> int:
+    """Index behind the last true value; 0 without one."""
+    return int(is_true.size - np.argmax(is_true[::-1])) if is_true.any() else 0
 
 
 def tabulate(steps: Sequence[StepResponse], unit: str) -> list[dict[str, Any]]:
@@ -170,22 +182,26 @@ def read_directions(steps: Sequence[StepResponse]) -> tuple[DirectionReading, ..
             for one in levels
         ]
         resting = [abs(s.level) for s in ours if not math.isfinite(s.onset_s)]
-        fast = [
-            one
-            for one, speed in zip(levels, speeds, strict=True)
-            if speed >= NEARLY_TOP_RATIO * max(speeds)
-        ]
         found.append(
             DirectionReading(
                 name,
                 float(np.median([step.onset_s for step in moving])),
                 _dead_band(levels, speeds, max(resting, default=0.0)),
-                fast[0] if fast[-1] >= SATURATED_SPAN_RATIO * fast[0] else None,
+                _saturation(levels, speeds),
                 max(speeds),
                 len(ours),
             )
         )
     return tuple(found)
+
+
+def _saturation(levels: Sequence[float], speeds: Sequence[float]) -> float | None:
+    """Smallest level that is nearly as fast as any, as are most of those above it; some may be slower."""
+    least = NEARLY_TOP_RATIO * max(speeds)
+    for place, (level, speed) in enumerate(zip(levels, speeds, strict=True)):
+        if speed >= least and float(np.median(speeds[place:])) >= least:
+            return level if levels[-1] >= SATURATED_SPAN_RATIO * level else None
+    return None
 
 
 def _dead_band(levels: Sequence[float], speeds: Sequence[float], resting: float) -> float | None:

@@ -50,8 +50,9 @@ def test_an_effect_at_its_smallest_magnitude_is_not_preferred(
         (0.02 * np.ones(20), 0.01, False),
         (0.4 * (np.arange(20) == 3), 0.01, True),
         (0.4 * (np.arange(20) == 3), 0.1, False),
+        (-0.1 * (np.arange(20) == 3), 0.1, True),
     ],
-    ids=["worse on every block", "worse on one block", "only noise is left"],
+    ids=["worse on every block", "worse on one block", "only noise is left", "no worse in noise"],
 )
 def test_a_rival_stays_possible_until_held_out_blocks_agree(
     worse_on_each: np.ndarray, noise: float, is_possible: bool

@@ -50,6 +50,8 @@ export function ViewerHost() {
       <iframe
         key={session?.session_id}
         title="3D view of the machine: click the ground to set the target"
+        // While it loads, Tab would end in it.
+        inert={news.state !== "drawn"}
         src={`/viewer/?theme=${firstScheme}`}
         className={classes.view}
       />
