@@ -85,3 +85,17 @@ def test_lifting_the_finger_after_a_throw_presses_nothing(
     again.tap()
     expect(page.get_by_test_id("result")).to_have_count(0)
     page.get_by_role("button", name="Give back control").tap()
+
+    # The note of a plot ("n = 1") stays in one line beside its title, also where three plots share the width.
+    page.goto(f"{demo.url}/throws")
+    heads = page.get_by_role("region", name="Accuracy").locator("section > header")
+    expect(heads).to_have_count(3)
+    for head in heads.all():
+        height_px, font_px = head.evaluate(
+            """head => {
+                head.style.width = "260px";
+                const note = head.querySelector("span");
+                return [note.offsetHeight, parseFloat(getComputedStyle(note).fontSize)];
+            }"""
+        )
+        assert height_px < 2 * font_px, head.inner_text()

@@ -12,6 +12,11 @@ type Props = {
   children: React.ReactNode;
 };
 
+const SHORT_LENGTH = 22;
+
+/** Whether a note fits beside a title in one line. */
+const isShort = (note: React.ReactNode) => typeof note === "string" && note.length <= SHORT_LENGTH;
+
 /** Title and exports (PNG, SVG, CSV) around a chart. */
 export function ChartFrame({ title, note, getSvg, toCsv, children }: Props) {
   const name = fileName(title);
@@ -28,7 +33,11 @@ export function ChartFrame({ title, note, getSvg, toCsv, children }: Props) {
     <section className={classes.chart} aria-label={title}>
       <header className={classes.head}>
         <h2 className={classes.title}>{title}</h2>
-        {note && <span className={classes.note}>{note}</span>}
+        {note && (
+          <span className={classes.note} data-short={isShort(note) || undefined}>
+            {note}
+          </span>
+        )}
         <Menu position="bottom-end">
           <Menu.Target>
             <ActionIcon aria-label={`Export ${title}`} size="var(--tap)" ml="auto">
