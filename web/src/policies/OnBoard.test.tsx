@@ -76,6 +76,27 @@ describe("what a machine has on board", () => {
     ]);
   });
 
+  it("keeps the focus at the machine's row, although its button is off then", async () => {
+    serve([OLD]);
+    await waitFor(async () => expect((await rollBack()).disabled).toBe(false));
+    const open = async () => {
+      (await rollBack()).focus();
+      fireEvent.click(await rollBack());
+      return (await screen.findByLabelText(/Why/)) as HTMLInputElement;
+    };
+    fireEvent.keyDown(await open(), { key: "Escape" });
+    await waitFor(async () => expect(document.activeElement).toBe(await rollBack()));
+    fireEvent.change(await open(), { target: { value: "wider on m001" } });
+    const wish = { ...OLD, deployment_count: 1, created_utc: SINCE, created_by: "ada" };
+    const asked = { ...wish, is_rollback: true, reason: "wider", detail: "" };
+    deployments = [{ ...asked, outcome: "pending", ended_utc: null }];
+    fireEvent.click(screen.getByRole("button", { name: "Go back to v7" }));
+    await screen.findByText(/Goes back to v7/);
+    const row = screen.getByText("2D", { selector: "li > span" }).parentElement;
+    await waitFor(() => expect(document.activeElement).toBe(row));
+    expect((await rollBack()).disabled).toBe(true);
+  });
+
   it("offers no way back where there was no other version", async () => {
     serve([]);
     expect(await screen.findByText("No earlier version.")).toBeTruthy();

@@ -6,7 +6,7 @@ import { errorWords } from "../words/errors";
 import { Hash } from "../words/Hash";
 import { instantOf, localStamp, zonedStamp, zoneName } from "../words/time";
 import { ConfirmDialog } from "./ConfirmDialog";
-import { nameOf, outcomeWords, pendingOf, pendingWords } from "./life";
+import { nameOf, onBoardRowId, outcomeWords, pendingOf, pendingWords } from "./life";
 import classes from "./OnBoard.module.css";
 import {
   type Deployment,
@@ -66,8 +66,9 @@ function ModeRow({ machineId, entry, pending }: RowProps) {
     setOpen(false);
     rollBack.reset();
   };
+  const rowId = onBoardRowId(machineId, entry.mode);
   return (
-    <li>
+    <li id={rowId} tabIndex={-1}>
       <span className={classes.mode}>{entry.mode.toUpperCase()}</span>
       <span>
         <strong>{nameOf(entry)}</strong>{" "}
@@ -97,6 +98,7 @@ function ModeRow({ machineId, entry, pending }: RowProps) {
           action={`Go back to ${earlier}`}
           isPending={rollBack.isPending}
           error={rollBack.error}
+          resultId={rowId}
           onConfirm={(reason) =>
             rollBack.mutate({ mode: entry.mode, reason }, { onSuccess: () => setOpen(false) })
           }

@@ -5,7 +5,7 @@ import { useMay } from "../session/useSession";
 import { zonedStamp } from "../words/time";
 import { ApproveDialog } from "./ApproveDialog";
 import { ConfirmDialog } from "./ConfirmDialog";
-import { approvalOf, deployRefusal } from "./life";
+import { approvalOf, deployRefusal, onBoardRowId } from "./life";
 import classes from "./PolicyCard.module.css";
 import { useApprovals, useDeployments, useOnBoard, usePolicyActions } from "./usePolicyLife";
 
@@ -87,6 +87,7 @@ export function PolicyActions({ policy, machineId }: Props) {
           action="Deploy"
           isPending={deploy.isPending}
           error={deploy.error}
+          resultId={onBoardRowId(machineId, mode)}
           onConfirm={(reason) => deploy.mutate({ mode, policy_sha256, reason }, done)}
           onClose={close}
         >

@@ -37,6 +37,9 @@ export const nameOf = (one: Named) =>
 
 type Running = { machine_id: string; state: { policy_sha256?: Record<string, string> } | null };
 
+/** Id of the row that shows what a machine has on board in a mode. */
+export const onBoardRowId = (machineId: string, mode: Mode) => `on-board-${machineId}-${mode}`;
+
 /** Machines whose newest state says that they throw with a version, by id. */
 export const runningOn = (
   machines: Readonly<Record<string, Running>>,
