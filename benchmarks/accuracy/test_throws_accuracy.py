@@ -37,7 +37,7 @@ def named(loaded: LoadedSet) -> dict[tuple[str, str | None], Effect]:
 
 
 def test_friction_at_rest_and_two_effects_at_once_are_found_at_their_sizes() -> None:
-    sticking = {"breakaway_rad_m_per_s": 0.06}
+    sticking = {"breakaway_rad_m_per_s": 0.12}
     assert_found(Effect(effect="stiction", joint="dipper", parameters=sticking))
     late = Effect(effect="valve_dead_time", joint="boom", parameters={"extra_dead_time_s": 0.1})
     short = Effect(effect="gripper_length", parameters={"extra_length_m": -0.18})
@@ -90,7 +90,7 @@ def test_throws_of_one_mode_alone_show_no_effect_of_a_healthy_machine(tmp_path: 
 def leaking(valve_ratio: Array) -> Array:
     """Pilot pressure of the telescope's valve leaks into the dipper's."""
     received = valve_ratio.copy()
-    received[:, DIPPER] += 0.2 * valve_ratio[:, TELESCOPE]
+    received[:, DIPPER] += 0.4 * valve_ratio[:, TELESCOPE]
     return received
 
 
