@@ -4,13 +4,21 @@ import hashlib
 import threading
 
 import pytest
+from sqlalchemy import delete
 
 from cli.main import main
 from machine.messages import EventKind
-from server.store.models import Deployment
+from server.store.models import Deployment, MachinePolicy
 from tests.server.server_bench import PASSWORD, wait_for
 
 REASON = {"reason": "retrained"}
+
+
+@pytest.fixture(autouse=True)
+def no_earlier_versions(running):
+    """Other tests of the same server gave the machine versions to go back to."""
+    with running.parts.database.write() as session:
+        session.execute(delete(MachinePolicy).where(MachinePolicy.machine_id == "m001"))
 
 
 @pytest.fixture
