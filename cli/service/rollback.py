@@ -10,7 +10,7 @@ import tyro
 from machine.conventions import Mode
 from machine.errors import UsageError
 from runtime.policies.puller import ROLLBACK_FILE, RollbackRequest
-from runtime.policies.slots import PolicySlots, shown
+from runtime.policies.slots import PolicySlots, version_words
 
 LOOK_PERIOD_S = 0.05
 
@@ -44,7 +44,7 @@ def run(
         # What a machine that died has not done yet is not done on top of this.
         (data / "policies" / ROLLBACK_FILE).unlink(missing_ok=True)
         now = slots.roll_back(chosen)
-    print(f"{mode}: the machine starts with {shown(now)}")
+    print(f"{mode}: the machine starts with {version_words(now)}")
     return 0
 
 
@@ -60,11 +60,11 @@ def _ask(slots: PolicySlots, data: Path, mode: Mode, timeout_s: float) -> int:
     end_s = time.monotonic() + timeout_s
     while time.monotonic() < end_s:
         if slots.of(mode).current == previous:
-            print(f"{mode.value}: the machine throws with {shown(previous)}")
+            print(f"{mode.value}: the machine throws with {version_words(previous)}")
             return 0
         time.sleep(LOOK_PERIOD_S)
     print(
-        f"{mode.value}: asked for {shown(previous)}; the machine has not switched yet. "
+        f"{mode.value}: asked for {version_words(previous)}; the machine has not switched yet. "
         "It does so when no plan is armed; its log says why it cannot."
     )
     return 3

@@ -31,7 +31,7 @@ NO_FIRST_KEY: Final = "refuse"
 _SHA256: Final = r"^([0-9a-f]{64})?$"
 
 
-def shown(policy_sha256: str) -> str:
+def version_words(policy_sha256: str) -> str:
     """A version in words; `policy_sha256` is empty for the installed one."""
     return f"policy {policy_sha256[:12]}" if policy_sha256 else "the installed policy"
 
@@ -140,8 +140,8 @@ class PolicySlots:
             raise UsageError(f"mode {mode.value} has no version before the one in use")
         if slots.is_previous_rolled_back:
             raise UsageError(
-                f"mode {mode.value} has no version before {shown(slots.current)} on this machine: "
-                f"{shown(slots.previous)} was rolled back; deploy the version that it is to have "
+                f"mode {mode.value} has no version before {version_words(slots.current)} on this machine: "
+                f"{version_words(slots.previous)} was rolled back; deploy the version that it is to have "
                 "(`downrange policy deploy`)"
             )
         return slots.previous
