@@ -1,6 +1,6 @@
 """The Zenoh link to the machines: commands out, states, joints and events in.
 
-A command is sent once and waits half a second for exactly one answer; nothing is repeated or
+A command is sent once and waits for exactly one answer (`COMMAND_TIMEOUT_S`); nothing is repeated or
 stored. Zenoh keeps the newest state of each machine for a thread that fetches and parses them, so that a slow
 server sees fewer states, not older ones. Its callbacks only queue what arrives.
 """

@@ -23,7 +23,6 @@ const NEXT_STEP: Record<string, string> = {
   model_mismatch: "Update the machine or the server: their machine models differ.",
   machine_lost: "The machine holds by itself; wait for the link.",
   unknown_outcome: "Wait: the machine reports what it did. Nothing is sent twice.",
-  unauthenticated: "Sign in again.",
 };
 
 export function errorWords(error: unknown): string {
@@ -35,6 +34,3 @@ export function errorWords(error: unknown): string {
 }
 
 export const errorCode = (error: unknown) => (error instanceof ApiError ? error.code : "internal");
-
-/** Reasons that mean "someone else has it": the console offers to watch, not to repeat. */
-export const isBusyCode = (code: string) => code === "lease_held" || code === "busy";
