@@ -4,9 +4,10 @@ An effect is a deviation of one machine from its twin profile; its value 0 is no
 
 To add an effect:
 
-1. A row here. schema.py explains the columns.
+1. A row here. schema.py explains the columns, tests/sim_twin/effects/test_effects.py checks them.
 2. Its physics in the twin: valve_effects.py, body_effects.py, load_effects.py or sensor_effects.py beside
-   this file, or sim_twin/twin/base_pose.py. A test in tests/sim_twin/effects.
+   this file, or sim_twin/twin/base_pose.py; preview and diagnosis simulate with the twin. A test in
+   tests/sim_twin/effects; test_effects_in_twin.py there fails for a row without physics.
 3. Its physics in the virtual machine, independent of the twin's: sim_twin/faults. It reads the same row, so a
    fault of the virtual machine has the name, joints and parameters of the effect that it realises. A test in
    tests/sim_twin/faults; one there fails for a row without physics.
@@ -14,12 +15,14 @@ To add an effect:
 5. Where a record of one stage shows it: an option in diagnosis/single_stage (joint_response.py,
    swing_problem.py or flight_problem.py), and what tells it from others (SEPARATING_RECORDS in
    the *_diagnosis.py beside them).
-6. What it does and where to look for it, for people: diagnosis/report/effect_sentences.py.
+6. What it does and where to look for it, for people: diagnosis/report/effect_sentences.py; its test fails for
+   a parameter without words.
 7. The data that lists all parameters: ``python -m diagnosis.population.estimation FOLDER...`` writes
    diagnosis/healthy/noise.json and filters.json from healthy sets of many machines
    (``downrange challenge make --tiers null``), ``python -m challenge.limit_measurement`` writes
    challenge/detection_limits.json. Until then the diagnosis ends with the missing parameter's name.
-8. Where benchmarks/plants has it among the unknown effects: move it to the known ones.
+8. Where benchmarks/plants or sim_twin/faults/fault_tables.py has it among the unknown or unlisted effects:
+   move it to the known ones. No test notices 4, 5 and this.
 9. ``make tables`` writes docs/effects.md. Special meanings, and the order of effects on a drive
    (docs/plants.md), are written by hand.
 
