@@ -52,6 +52,14 @@ class EffectOption(NamedTuple):
         """Options of the same place exclude each other."""
         return self.stands_for or self.effect
 
+    @property
+    def magnitudes(self) -> tuple[FreeParameter, ...]:
+        """The parameters that may be 0, or else the first: without them the effect is absent.
+
+        Others say when or where it acts; they may be sure while the magnitude is not.
+        """
+        return tuple(p for p in self.parameters if p.low <= 0.0) or self.parameters[:1]
+
 
 class FitProblem(Protocol):
     """Measured data of one stage and its simulation."""

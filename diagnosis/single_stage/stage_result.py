@@ -19,6 +19,8 @@ from diagnosis.single_stage.structure_selection import (
     ScoredStructure,
     Selection,
     describe_selection,
+    find_doubtful_effects,
+    reported_intervals,
 )
 from diagnosis.single_stage.uncertainty import parameter_intervals
 from diagnosis.verdict import (
@@ -39,8 +41,6 @@ MAX_CAUSES_COUNT: Final = 6
 """Most causes that are reported."""
 MIN_SHOWN_RATIO: Final = 0.01
 """Lower end of the explained share below which held-out data do not show the effects."""
-RIVAL_RATIO: Final = 0.05
-"""Probability from which a rival structure widens the intervals of the best."""
 AT_BOUND_RATIO: Final = 0.01
 """Distance from the end of its range, as a share of it, below which a parameter is at its bound."""
 AT_BOUND_PROBABILITY: Final = 0.95
@@ -157,7 +157,7 @@ def build_diagnosis(
     if at_bound := find_parameters_at_bound(selection.best.fit):
         probability = max(selection.unknown_probability, AT_BOUND_PROBABILITY)
         selection = replace(selection, unknown_probability=probability)
-    ambiguity = _find_ambiguity(problem, selection, labels) or _find_ambiguity_with_none(
+    ambiguity = _find_ambiguity(problem, selection, labels) or _find_ambiguity_with_fewer(
         problem, selection, shrink, labels
     )
     verdict = _choose_verdict(selection, ambiguity)
@@ -198,22 +198,8 @@ def build_diagnosis(
 def describe_fitted_effects(
     problem: FitProblem, selection: Selection, scored: ScoredStructure, joint: str | None
 ) -> tuple[FittedEffect, ...]:
-    """Effects of a structure with 90 % intervals.
-
-    Intervals of the same parameters in nearly as probable structures are included.
-    """
-    ranges = dict(parameter_intervals(problem, selection.correlation_samples, scored.fit))
-    for rival in selection.ranked:
-        # The interval covers the values of nearly as probable structures.
-        if rival is scored or rival.probability < RIVAL_RATIO:
-            continue
-        if "drag_crisis" in set(rival.effects) ^ set(scored.effects):
-            continue  # with a drag crisis the coefficient is that at low speed
-        for name, (low, high) in parameter_intervals(
-            problem, selection.correlation_samples, rival.fit
-        ).items():
-            if name in ranges and set(rival.effects) >= set(scored.effects) - REFINEMENT_EFFECTS:
-                ranges[name] = (min(ranges[name][0], low), max(ranges[name][1], high))
+    """Effects of a structure with their reported 90 % intervals."""
+    ranges = reported_intervals(problem, selection, scored)
     values = scored.fit.as_mapping()
     effects: list[FittedEffect] = []
     for option in sorted(scored.fit.options, key=lambda option: option.key):
@@ -300,26 +286,34 @@ def _find_ambiguity(
     return None
 
 
-def _find_ambiguity_with_none(
+def _find_ambiguity_with_fewer(
     problem: FitProblem, selection: Selection, shrink: Shrink, labels: StageLabels
 ) -> Ambiguity | None:
-    """Ambiguity between effects and none: "none" is probable, or held-out data do not show the effects."""
+    """Ambiguity with fewer effects or none.
+
+    "None" is probable, held-out data do not show the effects, or the interval of one of several holds zero.
+    """
     best = selection.best
     if not best.effects:
         return None
     none = next((item.probability for item in selection.ranked if not item.effects), 0.0)
     low, high = shrink.ci90
+    fewer: tuple[FittedEffect, ...] = ()
+    ours = describe_fitted_effects(problem, selection, best, labels.joint)
     if none >= AMBIGUOUS_RATIO * best.probability:
         why = f"probabilities {best.probability:.2f} and {none:.2f}"
     elif low < MIN_SHOWN_RATIO:
         why = (
             f"held-out data do not show the effects: they remove {low:.0%} to {high:.0%} of the gap"
         )
+    elif doubtful := find_doubtful_effects(problem, selection):
+        why = f"the interval of {' and of '.join(sorted(doubtful))} holds zero"
+        fewer = tuple(one for one in ours if one.effect not in doubtful)
     else:
         return None
     return Ambiguity(
-        members=(" + ".join(best.effects), "none"),
-        effects=(describe_fitted_effects(problem, selection, best, labels.joint), ()),
+        members=(" + ".join(best.effects), " + ".join(one.effect for one in fewer) or "none"),
+        effects=(ours, fewer),
         separating_motion={
             "kind": labels.stage.value,
             "joint": labels.joint,

@@ -21,6 +21,7 @@ from diagnosis.single_stage.uncertainty import (
     estimate_correlation_samples,
     estimate_standard_errors,
     interval_half_width_factor,
+    parameter_intervals,
 )
 from machine.conventions import Array
 
@@ -58,6 +59,8 @@ UNKNOWN_RATIO: Final = 0.1
 """Unexplained share of the response above which no set of effects counts as an explanation."""
 AMBIGUOUS_RATIO: Final = 0.25
 """Probability of a rival with other effects, relative to the best, from which the result is ambiguous."""
+RIVAL_RATIO: Final = 0.05
+"""Probability from which a rival structure widens the intervals of the best."""
 MIN_LEAD_SD: Final = 2.0
 """Lead of the best structure on held-out blocks, in standard errors, below which another may be true: the
 95 % interval of the difference holds zero."""
@@ -325,10 +328,9 @@ def _has_insignificant_effect(problem: FitProblem, found: StructureFit, correlat
     values = found.as_mapping()
     for option in found.options:
         names = [f"{option.key}.{p.name}" for p in option.parameters]
-        first = option.parameters[0]
         if option.effect not in NONZERO_NULL_EFFECTS:
-            tested = names if first.low <= 0.0 else names[:1]
-            if not any(is_nonzero[name] for name in tested) or _is_at_lower_bound(found, option):
+            is_sure = any(is_nonzero[f"{option.key}.{p.name}"] for p in option.magnitudes)
+            if not is_sure or _is_at_lower_bound(found, option):
                 return True
             if abs(values[names[0]] - values[names[-1]]) < option.least_difference:
                 return True
@@ -338,6 +340,39 @@ def _has_insignificant_effect(problem: FitProblem, found: StructureFit, correlat
             if p.is_absent_at_high and values[name] > 0.98 * p.high:
                 return True
     return False
+
+
+def reported_intervals(
+    problem: FitProblem, selection: Selection, scored: ScoredStructure
+) -> dict[str, tuple[float, float]]:
+    """90 % interval of each parameter by name; covers the values of nearly as probable structures."""
+    ranges = dict(parameter_intervals(problem, selection.correlation_samples, scored.fit))
+    for rival in selection.ranked:
+        if rival is scored or rival.probability < RIVAL_RATIO:
+            continue
+        if "drag_crisis" in set(rival.effects) ^ set(scored.effects):
+            continue  # with a drag crisis the coefficient is that at low speed
+        if not set(rival.effects) >= set(scored.effects) - REFINEMENT_EFFECTS:
+            continue
+        for name, (low, high) in parameter_intervals(
+            problem, selection.correlation_samples, rival.fit
+        ).items():
+            if name in ranges:
+                ranges[name] = (min(ranges[name][0], low), max(ranges[name][1], high))
+    return ranges
+
+
+def find_doubtful_effects(problem: FitProblem, selection: Selection) -> frozenset[str]:
+    """Effects of the best structure that may be absent: all their reported intervals hold the null."""
+    ranges = reported_intervals(problem, selection, selection.best)
+    doubtful: set[str] = set()
+    for option in selection.best.fit.options:
+        ends = [(p, *ranges[f"{option.key}.{p.name}"]) for p in option.magnitudes]
+        if option.effect not in NONZERO_NULL_EFFECTS and all(
+            low <= max(option.null, p.low) <= high for p, low, high in ends
+        ):
+            doubtful.add(option.effect)
+    return frozenset(doubtful)
 
 
 def _is_at_lower_bound(found: StructureFit, option: EffectOption) -> bool:

@@ -70,3 +70,27 @@ def test_a_rival_stays_possible_until_held_out_blocks_agree(
     selection = structure_selection.Selection((best, rival, padded), best, 1.0, 1.0, noise, 0.0)
     assert selection.is_possible(rival) is is_possible
     assert not selection.is_possible(padded)
+
+
+@pytest.mark.parametrize(("half_width", "is_doubtful"), [(0.3, False), (1.0, True)])
+def test_an_effect_whose_size_may_be_zero_is_doubtful_however_sure_its_time_is(
+    monkeypatch: pytest.MonkeyPatch, half_width: float, is_doubtful: bool
+) -> None:
+    change = FreeParameter("change_ratio", "1", -0.95, 2.0, (-0.2,))
+    middle = FreeParameter("middle_ratio", "1", 0.02, 0.98, (0.5,), is_absent_at_low=False)
+    drift = EffectOption("speed_drift", "speed_drift", (change, middle))
+    fit = make_fit((drift,), {"speed_drift.change_ratio": 0.7, "speed_drift.middle_ratio": 0.5}, 1)
+    best = structure_selection.ScoredStructure(fit, 1.0, np.ones(20), 0.0, 1.0)
+    selection = structure_selection.Selection((best,), best, 1.0, 1.0, 1.0, 0.0)
+    half = np.array([half_width, 0.01])
+    intervals = {
+        name: (value - h, value + h)
+        for name, value, h in zip(fit.names, fit.values, half, strict=True)
+    }
+    monkeypatch.setattr(structure_selection, "parameter_intervals", lambda *_: intervals)
+    monkeypatch.setattr(structure_selection, "estimate_standard_errors", lambda *_: half)
+    monkeypatch.setattr(structure_selection, "interval_half_width_factor", lambda _: 1.0)
+    problem = SimpleNamespace(block=np.arange(400) // 20)
+    found = structure_selection.find_doubtful_effects(problem, selection)
+    assert found == ({"speed_drift"} if is_doubtful else set())
+    assert structure_selection._has_insignificant_effect(problem, fit, 1.0) is is_doubtful

@@ -129,7 +129,7 @@ const control: Rule = ({ machine, isHolder, permissions, username }) => {
     const sentence = isOwnName(machine.lease, username)
       ? `You are in control of ${machine.machine_id} in another browser. Give control back there first.`
       : `${holder} is in control of ${machine.machine_id}. You watch until control is given back.`;
-    return { id: "busy", sentence, action: null };
+    return { id: "held_by_another", sentence, action: null };
   }
   const sentence = `Nobody is in control of ${machine.machine_id}.`;
   return { id: "no_lease", sentence, action: "take_control" };

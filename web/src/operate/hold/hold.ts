@@ -134,7 +134,10 @@ function onLinkLost(state: Hold): Step {
   if (state.phase === "ring") return idle(CAUSE_WORDS.link, ["stop_ring"]);
   if (state.phase === "arm_sent") return letGo(state, "link");
   if (state.phase === "holding" || state.phase === "fire_sent")
-    return idle("The hold signal was lost: the machine aborts by itself.", ["rest", "abort"]);
+    return idle("The hold signal was lost: before the release the machine aborts by itself.", [
+      "rest",
+      "abort",
+    ]);
   return [state, []];
 }
 
