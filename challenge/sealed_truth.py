@@ -1,6 +1,6 @@
 """Draws the truth of a challenge from one seed: tier, effects, sizes and machine of every set."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
 from typing import Final
 
@@ -83,14 +83,15 @@ def draw_truths(
 
     Raises:
         UsageError: no sets or no tiers.
+        KeyError: an effect has no detection limit; healthy sets need none.
     """
     if count < 1 or not tiers:
         raise UsageError(f"--sets {count}: a challenge has at least 1 set of at least 1 tier")
     rng = np.random.default_rng([seed, 0xC4A1])
     units = [0, *(int(u) for u in rng.integers(1, 10_000, UNIT_SEEDS - 1))]
     kinds = _shares(count, tiers)
-    singles = _Deck([*_slots(TABLE_FAULTS, limits), *[(DRIFT, None)] * DRIFT_SLOTS], rng)
-    unknowns = _Deck(_slots(UNLISTED_FAULTS, limits), rng)
+    singles = _Deck(lambda: [*_slots(TABLE_FAULTS, limits), *[(DRIFT, None)] * DRIFT_SLOTS], rng)
+    unknowns = _Deck(lambda: _slots(UNLISTED_FAULTS, limits), rng)
     drawn: list[tuple[Tier, tuple[TrueEffect, ...]]] = []
     for index, tier in enumerate(kinds):
         strong = index % 2 == 1
@@ -138,15 +139,21 @@ def weaker(truth: SetTruth, ratio: float) -> SetTruth:
 
 
 class _Deck:
-    """Deals all effects and joints in random order, so that a challenge leaves none out."""
+    """Deals all effects and joints in random order, so that a challenge leaves none out.
 
-    def __init__(self, slots: list[tuple[str, str | None]], rng: np.random.Generator) -> None:
+    Healthy sets need no limits: those of a new effect are measured with what healthy sets show.
+    """
+
+    def __init__(
+        self, slots: Callable[[], list[tuple[str, str | None]]], rng: np.random.Generator
+    ) -> None:
         self._slots, self._rng = slots, rng
         self._left: list[tuple[str, str | None]] = []
 
     def next(self) -> tuple[str, str | None]:
         if not self._left:
-            self._left = [self._slots[i] for i in self._rng.permutation(len(self._slots))]
+            slots = self._slots()
+            self._left = [slots[i] for i in self._rng.permutation(len(slots))]
         return self._left.pop()
 
 

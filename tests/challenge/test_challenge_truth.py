@@ -46,6 +46,11 @@ def test_some_tiers_alone() -> None:
         draw_truths(1, 0, LIMITS)
 
 
+def test_healthy_sets_need_no_limits() -> None:
+    truths = draw_truths(1, 4, {}, [Tier.NULL])
+    assert [t.effects for t in truths] == [()] * 4
+
+
 def test_half_of_the_singles_are_strong() -> None:
     multiples = np.array([t.effects[0].multiple_ratio for t in TRUTHS if t.tier is Tier.SINGLE])
     assert 0.4 < np.mean(multiples >= 1.94) < 0.6
