@@ -31,7 +31,8 @@ JITTER_TREND_SD_S = 0.2
 
 # Form error of effects
 FORM_ERROR_RATIO = 0.03
-"""Form error of effects: share of a channel's misfit that says nothing about which effect it is."""
+"""Form error of effects: share of a channel's misfit that says nothing about which effect it is, and that a
+set of effects may leave of what it explains."""
 SIZE_ERROR_RATIO = 0.09
 """Standard deviation of the model error of a fitted parameter, as a share of its value. It makes 90 %
 intervals hold at their nominal rate."""
@@ -86,8 +87,6 @@ UNKNOWN_WIDTH_RATIO = 0.15
 """Width of the logistic in the log of the excess."""
 CONFLICT_SD = 5.0
 """Standard deviations above the expected square of a healthy machine's deviations that may remain."""
-FORM_LEFT_RATIO = 0.1
-"""Share of the excess power without effect that a set may leave: the form error of its effects."""
 SURE_PROBABILITY = 0.8
 """Probability from which a cause is claimed alone."""
 OPEN_PROBABILITY = 0.15

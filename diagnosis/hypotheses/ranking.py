@@ -13,9 +13,8 @@ from diagnosis.hypotheses.release_jitter import JitterFit
 from diagnosis.hypotheses.search import linear_gains
 from diagnosis.hypotheses.unknown_check import (
     Left,
-    check,
     conflicts,
-    levels_of,
+    left_by,
     unknown_probability,
 )
 from diagnosis.inference.evidence import Set
@@ -105,7 +104,7 @@ def rank(
     probability = softmax(np.array([h.log_evidence for h in hypotheses]))
     best = candidates[0]
     mean = best.healthy_mean
-    left = check(problem, levels_of(likelihood, likelihood.left_over(best.change, mean)))
+    left = left_by(likelihood, best.change, mean)
     conflict = conflicts(likelihood, mean)
     left = {
         part: left.get(part, Left(0.0, 0.0))._replace(conflict_ratio=conflict.get(part, 0.0))

@@ -24,7 +24,7 @@ from diagnosis.hypotheses.candidate import (
 )
 from diagnosis.hypotheses.gap_problem import GapProblem
 from diagnosis.hypotheses.marginal_likelihood import MarginalLikelihood, stage_of
-from diagnosis.hypotheses.unknown_check import check, levels_of
+from diagnosis.hypotheses.unknown_check import left_by
 from diagnosis.inference.evidence import Priors, Set
 from diagnosis.inference.model_selection import NORMAL_90
 from diagnosis.linearisation.parameters import library
@@ -202,8 +202,7 @@ def _extensions(
     linear = linear_gains(likelihood, about, groups)
     others = [g for g in sorted(linear, key=lambda g: -linear[g][0]) if g not in about.members]
     points = [_with(priors, about, g, linear[g][1]) for g in others[:EXTENSION_COUNT]]
-    rest = likelihood.left_over(about.change, about.healthy_mean)
-    left = check(problem, levels_of(likelihood, rest))
+    left = left_by(likelihood, about.change, about.healthy_mean)
     stage = max(left, key=lambda name: left[name].excess_ratio)
     for group in others:
         effect, joint = problem.layout.groups[group]

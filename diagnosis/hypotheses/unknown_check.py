@@ -1,10 +1,11 @@
 """One posterior predictive check: whether what the best set leaves is what healthy throws leave.
 
 The power that remains in each channel is compared with that of healthy throws of another day. It counts as
-unknown where it is significantly more, and more than the form error of an effect that explains the rest.
+unknown where it is significantly more, and more than the form error of the set: a share of the power that
+would remain without its effects, the healthy parameters as they are.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from diagnosis.hypotheses.prior_conflict import prior_shift
 from diagnosis.linearisation.residual_power import INSENSITIVE_BLOCKS, log_level, throw_powers
 from diagnosis.tuning import (
     CONFLICT_SD,
-    FORM_LEFT_RATIO,
+    FORM_ERROR_RATIO,
     UNKNOWN_LEVEL_SD,
     UNKNOWN_LEVEL_SD_OF_TYPE,
     UNKNOWN_WIDTH_RATIO,
@@ -40,9 +41,17 @@ class Left(NamedTuple):
         return max(self.excess_ratio, self.conflict_ratio)
 
 
-def levels_of(likelihood: MarginalLikelihood, left: list[Array]) -> dict[str, float]:
-    """Log power per row of every channel, as of healthy throws (`log_level`)."""
-    problem = likelihood.problem
+def levels_of(
+    likelihood: MarginalLikelihood, changes: Sequence[Array], mean: Array
+) -> dict[str, float]:
+    """Log power per row of every channel (`log_level`) that a prediction leaves.
+
+    Args:
+        likelihood: of the throws.
+        changes: of every throw's prediction, in the channels' units.
+        mean: (p,) of the healthy parameters.
+    """
+    problem, left = likelihood.problem, likelihood.left_over(changes, mean)
     power = throw_powers(
         [
             {b.name: (float(rest[b.rows] @ rest[b.rows]), rest[b.rows].size) for b in p.blocks}
@@ -52,8 +61,26 @@ def levels_of(likelihood: MarginalLikelihood, left: list[Array]) -> dict[str, fl
     return {name: log_level(one, problem.model.dropped_ratio) for name, one in power.items()}
 
 
-def check(problem: GapProblem, levels: Mapping[str, float]) -> dict[str, Left]:
-    """What a set leaves in every part of the chain."""
+def left_by(
+    likelihood: MarginalLikelihood, changes: Sequence[Array], mean: Array
+) -> dict[str, Left]:
+    """What a set leaves in every part of the chain; arguments as of `levels_of`."""
+    nothing = [np.zeros_like(change) for change in changes]
+    with_effects = levels_of(likelihood, changes, mean)
+    return check(likelihood.problem, with_effects, levels_of(likelihood, nothing, mean))
+
+
+def check(
+    problem: GapProblem, levels: Mapping[str, float], without: Mapping[str, float]
+) -> dict[str, Left]:
+    """What a set leaves in every part of the chain.
+
+    Args:
+        problem: of the throws.
+        levels: log power per row that the set leaves, by channel.
+        without: the same without its effects. Healthy parameters that are fitted without them absorb a part
+            of what they explain, so that the power of no effect at its best says too little.
+    """
     healthy = problem.model.unknown_level
     level_sd = UNKNOWN_LEVEL_SD if problem.is_own else UNKNOWN_LEVEL_SD_OF_TYPE
     rows = {b.name: 0 for p in problem.prepared for b in p.blocks}
@@ -70,8 +97,8 @@ def check(problem: GapProblem, levels: Mapping[str, float]) -> dict[str, Left]:
             usual += rows[name] * np.exp(middle)
             spread += rows[name] * np.exp(middle) * (np.exp(sd) - 1.0)
             left += rows[name] * np.exp(levels[name])
-            before += rows[name] * np.exp(problem.none_levels[name])
-        may_remain = level_sd * spread + FORM_LEFT_RATIO * max(before - usual, 0.0)
+            before += rows[name] * np.exp(without[name])
+        may_remain = level_sd * spread + FORM_ERROR_RATIO * max(before - usual, 0.0)
         found[stage] = Left(float((left - usual) / spread), float((left - usual) / may_remain))
     return found
 
