@@ -141,7 +141,8 @@ def weaker(truth: SetTruth, ratio: float) -> SetTruth:
 class _Deck:
     """Deals all effects and joints in random order, so that a challenge leaves none out.
 
-    Healthy sets need no limits: those of a new effect are measured with what healthy sets show.
+    Slots are asked for with the first deal: healthy sets need no detection limits, which a new effect
+    does not have yet.
     """
 
     def __init__(

@@ -291,15 +291,14 @@ def _find_ambiguity_with_fewer(
 ) -> Ambiguity | None:
     """Ambiguity with fewer effects or none.
 
-    "None" is probable, held-out data do not show the effects, or the interval of one of several holds zero.
+    "None" is probable, held-out data do not show the effects, or the interval of some does not exclude none.
     """
     best = selection.best
     if not best.effects:
         return None
     none = next((item.probability for item in selection.ranked if not item.effects), 0.0)
     low, high = shrink.ci90
-    fewer: tuple[FittedEffect, ...] = ()
-    ours = describe_fitted_effects(problem, selection, best, labels.joint)
+    doubtful = frozenset(best.effects)
     if none >= AMBIGUOUS_RATIO * best.probability:
         why = f"probabilities {best.probability:.2f} and {none:.2f}"
     elif low < MIN_SHOWN_RATIO:
@@ -307,10 +306,11 @@ def _find_ambiguity_with_fewer(
             f"held-out data do not show the effects: they remove {low:.0%} to {high:.0%} of the gap"
         )
     elif doubtful := find_doubtful_effects(problem, selection):
-        why = f"the interval of {' and of '.join(sorted(doubtful))} holds zero"
-        fewer = tuple(one for one in ours if one.effect not in doubtful)
+        why = f"the interval of {' and of '.join(sorted(doubtful))} does not exclude that it is absent"
     else:
         return None
+    ours = describe_fitted_effects(problem, selection, best, labels.joint)
+    fewer = tuple(one for one in ours if one.effect not in doubtful)
     return Ambiguity(
         members=(" + ".join(best.effects), " + ".join(one.effect for one in fewer) or "none"),
         effects=(ours, fewer),

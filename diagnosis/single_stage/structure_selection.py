@@ -363,7 +363,10 @@ def reported_intervals(
 
 
 def find_doubtful_effects(problem: FitProblem, selection: Selection) -> frozenset[str]:
-    """Effects of the best structure that may be absent: all their reported intervals hold the null."""
+    """Effects of the best structure that may be absent.
+
+    The reported intervals of all their magnitudes reach zero, or the least size worth naming.
+    """
     ranges = reported_intervals(problem, selection, selection.best)
     doubtful: set[str] = set()
     for option in selection.best.fit.options:
