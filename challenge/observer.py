@@ -19,7 +19,7 @@ from challenge.make import make_reference
 from diagnosis.healthy.health import load_health
 from diagnosis.healthy.noise import whiten
 from diagnosis.hypotheses.gap_problem import GapProblem, pose_problem
-from diagnosis.inference.evidence import inform_gram
+from diagnosis.linearisation.information import inform_gram
 from diagnosis.linearisation.parameters import Parameter, layout, library, scatter_names
 from diagnosis.linearisation.sensitivities import relinearise
 from diagnosis.linearisation.whitening import slope_count

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from diagnosis.fitted_causes import causes_of, effect_names, fitted, fitted_jitter
+from diagnosis.hypotheses.candidate import no_effect
 from diagnosis.hypotheses.gap_problem import GapProblem
 from diagnosis.hypotheses.ranking import Hypothesis, Ranked
-from diagnosis.inference.evidence import screen, total, weigh
+from diagnosis.hypotheses.search import linear_gains
 from diagnosis.loading.throw_data import LoadedSet
 from diagnosis.location import named, signature_of, where
 from diagnosis.reference_throws import reference_evidence
@@ -243,18 +244,20 @@ def _or_nothing(ranked: Ranked, more: tuple[Effect, ...], why: str) -> Ambiguity
 
 def _ruled_out(found: Findings) -> list[dict[str, Any]]:
     """Single effects with the lowest log odds against "no effect"."""
-    problem = found.problem
-    base = screen(total(problem.information), problem.layout.priors)
-    entries: list[dict[str, Any]] = []
-    for group, name in enumerate(problem.layout.groups):
-        if problem.layout.is_unmodelled(group):
-            continue
-        weighed = weigh(base, problem.layout.priors, (group,))
-        entries.append(
-            {"effect": name[0], "joint": name[1], "log_odds": round(weighed.log_odds, 2)}
-        )
-    entries.sort(key=lambda entry: entry["log_odds"])
-    return entries[:RULED_OUT_COUNT]
+    layout = found.problem.layout
+    likelihood = found.ranked.likelihood
+    groups = [g for g in range(len(layout.groups)) if not layout.is_unmodelled(g)]
+    log_odds = {
+        g: gain for g, (gain, _) in linear_gains(likelihood, no_effect(likelihood), groups).items()
+    }
+    return [
+        {
+            "effect": layout.groups[g][0],
+            "joint": layout.groups[g][1],
+            "log_odds": round(log_odds[g], 2),
+        }
+        for g in sorted(groups, key=lambda g: log_odds[g])[:RULED_OUT_COUNT]
+    ]
 
 
 def _miss_words(gap: Gap) -> str:

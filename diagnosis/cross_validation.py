@@ -17,7 +17,7 @@ from diagnosis.hypotheses.candidate import fitted_effects, weighed
 from diagnosis.hypotheses.gap_problem import GapProblem
 from diagnosis.hypotheses.marginal_likelihood import MarginalLikelihood
 from diagnosis.hypotheses.ranking import Hypothesis
-from diagnosis.inference.evidence import members_index
+from diagnosis.linearisation.information import members_index
 from diagnosis.linearisation.open_loop import impacts
 from diagnosis.linearisation.parameters import ReplayKind, library
 from diagnosis.linearisation.residual_power import INSENSITIVE_BLOCKS

@@ -7,8 +7,7 @@ import numpy as np
 from diagnosis.hypotheses.gap_problem import GapProblem
 from diagnosis.hypotheses.ranking import Hypothesis, Ranked
 from diagnosis.hypotheses.release_jitter import JITTER, PARAMETER
-from diagnosis.inference.evidence import members_index
-from diagnosis.inference.model_selection import NORMAL_90
+from diagnosis.linearisation.information import NORMAL_90, members_index
 from diagnosis.linearisation.parameters import library
 from diagnosis.tuning import SIZE_ERROR_RATIO
 from diagnosis.verdict import Cause, FittedEffect, FittedParameter

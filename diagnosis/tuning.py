@@ -7,13 +7,6 @@ numerical steps or from the effect table are defined where they are used.
 # Evidence and priors
 SLAB_SCALES_RATIO = (1.0, 0.35, 0.12)
 """The slab is a mixture of these multiples of the prior's width: effects come in all sizes."""
-MIN_SLAB_OVER_SPIKE_RATIO = 4.0
-"""Least ratio of slab to spike width; a narrower slab would be a second spike."""
-MOST_SIDE_RATIO = 0.4
-"""Largest slab width as a share of the bound on its side, for parameters whose bounds are not symmetric."""
-PARTNER_LOG_PRIOR = -1.0
-"""Log prior odds per pair of effects in a set: what an effect of the library does not model resembles
-another."""
 GROUP_LOG_PRIOR = -6.0
 """Prior log odds of an effect: one effect in six data sets, among about seventy."""
 RARE_LOG_PRIOR = -8.0
@@ -37,34 +30,9 @@ SIZE_ERROR_RATIO = 0.09
 """Standard deviation of the model error of a fitted parameter, as a share of its value. It makes 90 %
 intervals hold at their nominal rate."""
 
-# Machines of another type
-CLEAR_LOG_POWER = 0.7
-"""Excess log power from which a misfit is significant; levels of healthy sets of the type scatter by 0.1
-to 0.2."""
-LAG_RATIO = 0.1
-"""Deviation of another machine's drive lag, as a share of the lag."""
-LEAST_SHAPE_S = 0.015
-"""Joint deviation of dead time and lag with opposite signs, s: another valve has another order of its
-response. The mean delay stays."""
-CLOCK_SD_S = 0.006
-"""Deviation of a sensor's latency on another machine, s: it has other filters and buses."""
-COMMON_CLOCK_SD_S = 0.008
-"""Common latency of all sensors with commands earlier by as much, s. No log shows it, but noise in
-measured joints acts alike, since a later twin is a smoother one."""
-LEAST_VISCOUS_PER_S = 0.015
-"""Deviation of the viscous friction of another machine's passive joints, 1/s."""
-LEAST_DEAD_BAND_RATIO = 0.008
-"""Deviation of another valve's overlap, as a share of full command."""
-LEVEL_SD = 0.06
-"""Spread of the log residual power between joints or axes of a machine of another type."""
-DRIVE_RATIOS = (1.0, 0.5, 0.25)
-"""Deviations of another machine's drives relative to the type's that are compared."""
-
 # Search for sets of effects
 FURTHER_LOG_PRIOR = -3.0
 """Additional log prior odds of each effect beside the first."""
-CLEAR_LOG_EVIDENCE = 2.0
-"""Gain along the slopes from which a drift is simulated."""
 GRID_RATIO = (0.8, 1.8)
 """Sizes at which single effects are simulated, as multiples of the prior's width."""
 EXTENSION_COUNT = 8

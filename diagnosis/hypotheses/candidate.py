@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
 from diagnosis.hypotheses.marginal_likelihood import MarginalLikelihood, Products
-from diagnosis.inference.evidence import Priors, Set, members_index
+from diagnosis.linearisation.information import Priors, Set, members_index
 from diagnosis.linearisation.parameters import (
     NONSMOOTH_EFFECTS,
     Parameter,

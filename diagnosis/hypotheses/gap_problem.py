@@ -7,10 +7,9 @@ from diagnosis.healthy.filters import HealthyModel, nothing
 from diagnosis.healthy.health import Health
 from diagnosis.healthy.noise import NoiseModel
 from diagnosis.hypotheses.prior_conflict import PriorShift, prior_shift
-from diagnosis.inference.evidence import Information, screen, total
+from diagnosis.linearisation.information import Information, healthy_posterior, total
 from diagnosis.linearisation.model_error import factors
 from diagnosis.linearisation.parameters import ParameterLayout, beside
-from diagnosis.linearisation.parameters import layout as layout_of
 from diagnosis.linearisation.residual_power import levels
 from diagnosis.linearisation.sensitivities import LinearThrow, linearise
 from diagnosis.linearisation.whitening import (
@@ -21,19 +20,12 @@ from diagnosis.linearisation.whitening import (
     with_projection_subtracted,
 )
 from diagnosis.loading.prepared import PreparedThrow
-from diagnosis.population.model_misfit import filters_help, misfit, scaled_to
-from diagnosis.population.other_machine_type import fitted_other_type_model, other_type_model
-from diagnosis.tuning import CLEAR_LOG_POWER, PREVIEW_COUNT
+from diagnosis.population.machine_filters import filters_help
+from diagnosis.tuning import PREVIEW_COUNT
 from machine.calibration import ValveCalibration
-from machine.conventions import ACTIVE_JOINTS, Array
+from machine.conventions import Array
 from sim_twin.twin.profile import TwinProfile
 
-TYPE_ADAPTATIONS = ((1.0, CLEAR_LOG_POWER),)
-"""Adaptations to the misfit, in order: least factor, and log power from which the misfit is significant.
-Machines of the type are never much closer to their twin than the others."""
-OTHER_TYPE_ADAPTATIONS = ((0.0, 0.0), (1.0, 0.0))
-"""Adaptations of a machine of another type: twice, since a factor scales the discrepancy and not the
-noise beside it."""
 OF_THROWS = ("prepared", "factor", "linear", "whitened", "information")
 """Fields of a problem with an entry for every throw."""
 
@@ -80,30 +72,14 @@ def pose_problem(
     health: Health,
     layout: ParameterLayout,
 ) -> GapProblem:
-    """Linearise at "no effect", with the model of healthy machines adapted to this machine."""
-    of_type = health.noise
+    """Linearise at "no effect", without the filters of the type for a machine that they do not help."""
     layout = beside(layout, profile.effects)
     linear = linearise(prepared, profile, calibration, health.filters)
-    is_other_type = not health.is_own and not filters_help(prepared, linear, health.filters)
-    if is_other_type:
-        other = other_type_model(of_type, (1.0,) * len(ACTIVE_JOINTS))
-        health = health._replace(filters=nothing(), noise=other)
-        layout = beside(layout_of(other), profile.effects)
+    if not health.is_own and not filters_help(prepared, linear, health.filters):
+        health = health._replace(filters=nothing())
         linear = linearise(prepared, profile, calibration, health.filters)
     found = _whitened(prepared, profile, calibration, health, layout, linear)
-    previews = OTHER_TYPE_ADAPTATIONS if is_other_type else TYPE_ADAPTATIONS
-    for least_ratio, clear_log_power in () if health.is_own else previews:
-        excess = misfit(found.whitened, layout.priors, health.noise, clear_log_power)
-        excess = {stage: max(factor, least_ratio) for stage, factor in excess.items()}
-        if any(factor != 1.0 for factor in excess.values()):
-            health = health._replace(noise=scaled_to(health.noise, excess))
-            found = _whitened(prepared, profile, calibration, health, layout, linear)
-    if is_other_type:
-        near = fitted_other_type_model(of_type, total(found.information))
-        model = near.model_copy(update={"channels": health.noise.channels})
-        # The whitening does not depend on the machines' scatter.
-        found = replace(found, model=model, layout=beside(layout_of(model), profile.effects))
-    none = screen(total(found.information), found.layout.priors)
+    none = healthy_posterior(total(found.information), found.layout.priors)
     shift = prior_shift(found.layout.priors.scatter, none.covariance, none.mean)
     level = levels(found.whitened, none.mean, found.model.dropped_ratio)
     return replace(found, none_levels=level, none_shift=shift)

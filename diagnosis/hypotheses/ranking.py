@@ -17,7 +17,7 @@ from diagnosis.hypotheses.unknown_check import (
     left_by,
     unknown_probability,
 )
-from diagnosis.inference.evidence import Set
+from diagnosis.linearisation.information import Set
 from diagnosis.linearisation.parameters import Group
 from diagnosis.linearisation.unmodelled_effects import group_of
 from diagnosis.tuning import OPEN_PROBABILITY, SURE_PROBABILITY

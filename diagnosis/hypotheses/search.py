@@ -25,12 +25,10 @@ from diagnosis.hypotheses.candidate import (
 from diagnosis.hypotheses.gap_problem import GapProblem
 from diagnosis.hypotheses.marginal_likelihood import MarginalLikelihood, stage_of
 from diagnosis.hypotheses.unknown_check import left_by
-from diagnosis.inference.evidence import Priors, Set
-from diagnosis.inference.model_selection import NORMAL_90
+from diagnosis.linearisation.information import NORMAL_90, Priors, Set
 from diagnosis.linearisation.parameters import library
 from diagnosis.tuning import (
     BEAM,
-    CLEAR_LOG_EVIDENCE,
     EXTENSION_COUNT,
     FINAL_COUNT,
     GRID_RATIO,
@@ -115,21 +113,22 @@ def _refined(throws: Throws, previews: Sequence[CandidateSet]) -> list[Candidate
 
 
 def _grid(likelihood: MarginalLikelihood, groups: Sequence[int]) -> list[StartingPoint]:
-    """Single effects at several sizes, as far as a channel that they move has a misfit to explain.
+    """Single effects at several sizes, as far as they gain along their slopes or move a part that deviates.
 
-    A drift starts at its size along the slopes of no effect.
+    Neither alone is enough: slopes do not show effects with jumps, and of two effects that look alike the
+    part of one may not deviate. A drift starts at its size along the slopes of no effect.
     """
     problem, points = likelihood.problem, list[StartingPoint]()
     priors = problem.layout.priors
     linear = linear_gains(likelihood, no_effect(likelihood), groups)
     for group in groups:
         index = priors.groups[group]
-        if int(index[0]) >= problem.layout.parameter_count:
-            gain, size = linear[group]
-            if gain > CLEAR_LOG_EVIDENCE:
-                points.append(((group,), size))
+        gain, along = linear[group]
+        is_drift = int(index[0]) >= problem.layout.parameter_count
+        if gain <= 0.0 and (is_drift or not _can_matter(problem, group)):
             continue
-        if not _can_matter(problem, group):
+        if is_drift:
+            points.append(((group,), along))
             continue
         is_linear = EFFECTS[problem.layout.groups[group][0]].growth == "linear"
         for way in _ways(index.size):

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from diagnosis.healthy.noise import NoiseModel
-from diagnosis.inference.evidence import Priors
+from diagnosis.linearisation.information import Priors
 from diagnosis.linearisation.unmodelled_effects import (
     UNMODELLED,
     unmodelled_groups,

@@ -12,8 +12,8 @@ from functools import cache
 import numpy as np
 
 from diagnosis.healthy.noise import NoiseModel, whiten
-from diagnosis.inference.evidence import Information, inform_gram
 from diagnosis.linearisation.basis_functions import unmodelled_columns
+from diagnosis.linearisation.information import Information, inform_gram
 from diagnosis.linearisation.nuisances import set_columns, throw_columns, throw_nuisances
 from diagnosis.linearisation.parameters import SET_NUISANCES, ParameterLayout, library, set_names
 from diagnosis.linearisation.sensitivities import LinearThrow
@@ -38,8 +38,6 @@ class Whitened:
     """Share of a drift that acts in this throw."""
     rows: Mapping[str, slice]
     """Rows of each block."""
-    log_volume: float
-    """Sum of the logs of the noise's Cholesky diagonals."""
     gram: Array
     """(1 + p + s + q,) squared: products of the table's columns."""
 
@@ -75,7 +73,6 @@ def whiten_throw(
         factor: Cholesky factors of the blocks' covariances.
         beside: projection of the unmodelled effects (`beside_named`), which is subtracted.
     """
-    log_volume = float(sum(np.log(np.diag(lower)).sum() for lower in factor))
     names = {block.name: block.rows for block in prepared.blocks}
     columns = _columns(prepared, linear, model)
     table = np.empty_like(columns)
@@ -83,7 +80,7 @@ def whiten_throw(
         table[block.rows] = whiten(lower, columns[block.rows])
     if beside is not None:
         _subtract_projection(table, beside, model)
-    return Whitened(table, prepared.input.progress_ratio, names, log_volume, table.T @ table)
+    return Whitened(table, prepared.input.progress_ratio, names, table.T @ table)
 
 
 @cache
@@ -145,12 +142,9 @@ def information(whitened: Sequence[Whitened]) -> list[Information]:
 
 def _in_layout(whitened: Whitened, count: int) -> Information:
     """A drift's slopes are the parameters' times the throw's place in the set."""
-    found = inform_gram(whitened.gram, slope_count(), whitened.log_volume)
+    found = inform_gram(whitened.gram, slope_count())
     order = np.r_[0:count, 0:count, count : slope_count()]
     share = np.ones(order.size)
     share[count : 2 * count] = whitened.progress_ratio
     precision = found.precision[np.ix_(order, order)] * share[:, None] * share
-    return found._replace(
-        precision=precision,
-        gradient=found.gradient[order] * share,
-    )
+    return Information(precision, found.gradient[order] * share)

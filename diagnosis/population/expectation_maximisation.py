@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnosis.healthy.noise import ChannelNoise, NoiseModel, Scatter
-from diagnosis.inference.evidence import screen, total
+from diagnosis.linearisation.information import healthy_posterior, total
 from diagnosis.linearisation.model_error import factors
 from diagnosis.linearisation.nuisances import throw_nuisances
 from diagnosis.linearisation.parameters import SET_NUISANCES, layout, library, scatter_names
@@ -92,7 +92,7 @@ def fit(one: HealthySet, model: NoiseModel) -> HealthyFit:
     beside = beside_named(total(information(raw)), plan)
     white = [with_projection_subtracted(throw, beside, model) for throw in raw]
     data = total(information(white))
-    base = screen(data, plan.priors)
+    base = healthy_posterior(data, plan.priors)
     moments: list[Array] = []
     left: list[Array] = []
     for w, p, lower in zip(white, one.prepared, factor, strict=True):

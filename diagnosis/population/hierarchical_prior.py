@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diagnosis.inference.evidence import Information
+from diagnosis.linearisation.information import Information
 from diagnosis.linearisation.parameters import ParameterLayout
 from machine.conventions import Array, BoolArray
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from diagnosis.healthy.noise import NoiseModel, Scatter
-from diagnosis.inference.evidence import Information, screen, total
+from diagnosis.linearisation.information import Information, healthy_posterior, total
 from diagnosis.linearisation.model_error import factors
 from diagnosis.linearisation.parameters import layout, library, scatter_names
 from diagnosis.linearisation.residual_power import (
@@ -147,7 +147,7 @@ def with_usual_level(model: NoiseModel, reference: ReferenceThrows) -> NoiseMode
     powers: list[dict[str, tuple[float, int]]] = []
     for half in (0, 1):
         own = white[half::2]
-        mean = screen(total(information(own)), priors).mean
+        mean = healthy_posterior(total(information(own)), priors).mean
         powers += [residual_power(one, mean) for one in own]
     usual = dict(model.unknown_level)
     for name, power in throw_powers(powers).items():
@@ -167,7 +167,7 @@ def _held_out_residuals(model: NoiseModel, reference: ReferenceThrows) -> list[A
     """Residual of every throw (n,) in the channels' units, after the parameters of the other half."""
     white = reference.whitened(model)
     data, priors = information(white), layout(model).priors
-    means = [screen(total(data[1 - half :: 2]), priors).mean for half in (0, 1)]
+    means = [healthy_posterior(total(data[1 - half :: 2]), priors).mean for half in (0, 1)]
     return [
         in_units(p, factors(p, model), residual_after(w, means[i % 2]))
         for i, (p, w) in enumerate(zip(reference.prepared, white, strict=True))

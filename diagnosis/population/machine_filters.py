@@ -107,3 +107,27 @@ def _inputs(p: PreparedThrow, linear: LinearThrow, joint: int) -> Array:
 def _at_sensors(p: PreparedThrow, track: Array) -> Array:
     """A track (T,) of control ticks at the joint sensors' times."""
     return np.interp(p.joint_at_s, p.motion.t_s, track)
+
+
+def filters_help(
+    prepared: Sequence[PreparedThrow], linear: Sequence[LinearThrow], filters: HealthyModel
+) -> bool:
+    """Whether the filters of the type reduce the residual of this machine, averaged over its joints.
+
+    Args:
+        prepared: the throws.
+        linear: at "no effect", with the filters.
+        filters: of the type.
+    """
+    gains: list[float] = []
+    for joint in range(len(ACTIVE_JOINTS)):
+        before, after = 0.0, 0.0
+        for p, one in zip(prepared, linear, strict=True):
+            track = correction(filters, p.motion, joint, one.predicted_velocity[:, joint])
+            moved = p.joint_pair @ _at_sensors(p, track)
+            rest = one.residual[_rows(p, joint)]
+            after += float(np.nansum(rest**2))
+            before += float(np.nansum((rest + moved) ** 2))
+        if before > 0.0 and after > 0.0:
+            gains.append(float(np.log(before / after)))
+    return not gains or float(np.mean(gains)) >= 0.0

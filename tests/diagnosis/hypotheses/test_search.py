@@ -17,6 +17,7 @@ from diagnosis.hypotheses.candidate import (
     without_absent_jumps,
 )
 from diagnosis.hypotheses.marginal_likelihood import marginal_likelihood
+from diagnosis.hypotheses.search import search
 from sim_twin.effects.effect import Effect
 from tests.diagnosis.twin_throws import posed, posed_healthy, throws
 
@@ -84,3 +85,15 @@ def test_what_a_sticking_joint_gains_at_no_size_is_no_evidence_for_it() -> None:
     assert without.covariance.shape == (1, 1)
     assert without.products[0].own.shape == smooth.products[0].own.shape
     assert without_absent_jumps(likelihood, sticking) is sticking
+
+
+def test_effects_that_look_alike_are_both_simulated_whichever_part_deviates() -> None:
+    turned = Effect(effect="base_yaw_drift", parameters={"yaw_rad": 0.08})
+    problem = posed(throws((turned,), 6))
+    shifts = {part: shift._replace(square=0.0) for part, shift in problem.none_shift.items()}
+    levels = dict.fromkeys(problem.none_levels, -5.0)
+    problem = replace(problem, none_shift=shifts, none_levels=levels)
+    likelihood = marginal_likelihood(problem)
+    found = search(Throws(likelihood, likelihood), lambda share: None)
+    alone = {problem.layout.groups[c.members[0]] for c in found if len(c.members) == 1}
+    assert {("base_yaw_drift", None), ("joint_sensor_bias", "slew")} <= alone

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagnosis.inference.evidence import total
 from diagnosis.linearisation.basis_functions import unmodelled_columns
+from diagnosis.linearisation.information import total
 from diagnosis.linearisation.parameters import library
 from diagnosis.linearisation.unmodelled_effects import (
     UNMODELLED,

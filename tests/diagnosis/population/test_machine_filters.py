@@ -8,7 +8,7 @@ import pytest
 from diagnosis.healthy.filters import HealthyModel, correction, nothing, sum_of
 from diagnosis.linearisation.sensitivities import LinearThrow, linearise
 from diagnosis.loading.prepared import PreparedThrow, prepare
-from diagnosis.population.machine_filters import as_unseen, machine_filters
+from diagnosis.population.machine_filters import as_unseen, filters_help, machine_filters
 from tests.diagnosis.twin_throws import profile, throws
 
 DIPPER = 2
@@ -75,3 +75,20 @@ def test_two_models_correct_as_their_sum(
         return correction(model, p.motion, DIPPER, track)
 
     np.testing.assert_allclose(by(sum_of(one, two)), by(one) + by(two), atol=1e-9)
+
+
+def test_filters_that_raise_the_residual_do_not_help(
+    begun: tuple[list[PreparedThrow], list[LinearThrow]],
+) -> None:
+    prepared, linear = begun
+    linear = moved(begun, [0.3] * 8)
+    own = machine_filters(prepared, linear, nothing()).all
+    wrong = nothing().joints[0].model_copy(update={"offset": 0.1, "weight": (1e-9,) * 140})
+    of_another = HealthyModel(note="another type", joints=(wrong,) * len(nothing().joints))
+    for filters, is_better in ((own, True), (of_another, False)):
+        under = linearise(prepared, profile(), prepared[0].throw.calibration, filters)
+        more = [
+            replace(one, residual=one.residual + off.residual - plain.residual)
+            for one, off, plain in zip(under, linear, begun[1], strict=True)
+        ]
+        assert filters_help(prepared, more, filters) is is_better

@@ -1,1 +1,0 @@
-"""Bayesian evidence for sets of effects, and model selection by it."""
