@@ -13,7 +13,7 @@ RARE_LOG_PRIOR = -8.0
 """Prior log odds of what is rarer than a constant effect of the library: a drift, of which there are as many;
 an unmodelled effect; a nonsmooth one, since the position where a sticking joint rests is fitted to the throws
 (`replay_drives`), a degree of freedom that other effects lack."""
-SPIKE_WIDENING_RATIO = 1.1
+SCATTER_WIDENING_RATIO = 1.1
 """Factor on the scatter, which was measured on a finite number of machines."""
 JITTER_LOG_PRIOR = -5.0
 """Prior log odds of jitter."""

@@ -21,7 +21,7 @@ class Health(NamedTuple):
 
     @property
     def is_own(self) -> bool:
-        """Whether it was also learned from throws of this machine; then it is not adapted further."""
+        """Whether it was also learned from throws of this machine."""
         return self.profile is not None
 
 

@@ -18,7 +18,7 @@ from diagnosis.linearisation.unmodelled_effects import (
 from diagnosis.tuning import (
     GROUP_LOG_PRIOR,
     RARE_LOG_PRIOR,
-    SPIKE_WIDENING_RATIO,
+    SCATTER_WIDENING_RATIO,
 )
 from machine.conventions import ACTIVE_JOINTS, Array
 from sim_twin.effects.effect import Effect
@@ -186,7 +186,7 @@ def layout(model: NoiseModel) -> ParameterLayout:
     return ParameterLayout(
         groups=tuple(groups),
         priors=Priors(
-            scatter=SPIKE_WIDENING_RATIO**2 * _scatter(model),
+            scatter=SCATTER_WIDENING_RATIO**2 * _scatter(model),
             slab_sd=np.concatenate([slab, 0.5 * slab, nuisances]),
             low=np.concatenate([low, -reach, -free]),
             high=np.concatenate([high, reach, free]),
