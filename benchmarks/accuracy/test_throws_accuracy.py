@@ -1,10 +1,12 @@
-"""Throws: effects without slopes, and what a healthy machine must not show."""
+"""Throws: effects without slopes, and what a healthy machine of another type must not show."""
 
 from pathlib import Path
 
 import pytest
 
 from benchmarks.accuracy.test_search_accuracy import assert_found
+from benchmarks.other_plant import Variant
+from benchmarks.other_plant import throws as plant_throws
 from cli.main import main
 from diagnosis.diagnose import diagnose_throws
 from diagnosis.hypotheses.candidate import Throws, fitted_effects
@@ -17,7 +19,9 @@ from diagnosis.loading.logs import load_throws
 from diagnosis.loading.throw_data import LoadedSet
 from diagnosis.verdict import VerdictKind
 from machine.conventions import Array
+from machine.spec import load_spec
 from sim_twin.effects.effect import Effect
+from sim_twin.twin.profile import nominal_profile
 from tests.diagnosis.twin_throws import health, posed, profile, throws
 
 SOFT = Effect(effect="chassis_compliance", joint=None, parameters={"pitch_rad": 0.02})
@@ -61,6 +65,12 @@ def test_a_machine_closer_to_its_twin_than_the_type_has_its_own_model() -> None:
     found = diagnose_throws(throws((late,), 6), profile())
     assert found.verdict is VerdictKind.EXPLAINED
     assert [e.effect for e in found.causes[0].effects] == ["release_delay"]
+
+
+def test_a_healthy_machine_of_another_type_has_no_cause(tmp_path: Path) -> None:
+    loaded = plant_throws(tmp_path, Variant(), 6)
+    found = diagnose_throws(loaded, nominal_profile(load_spec()))
+    assert found.verdict is VerdictKind.NONE, found.causes[:2]
 
 
 THROWS = 6

@@ -37,7 +37,7 @@ NOISE_LIKE_SD: Final[Mapping[str, float]] = {
 excites. They are scaled by the square of the excess of that noise over the type's."""
 LEAST_TRACK_COUNT = NOISE_WINDOW_COUNT + 3
 """Fewest samples of a track that hold a window of third differences."""
-LATE_KEYS = ("valve_dead_time.{}.extra_dead_time_s", "joint_sensor_latency.{}.extra_latency_s")
+_LATE_KEYS = ("valve_dead_time.{}.extra_dead_time_s", "joint_sensor_latency.{}.extra_latency_s")
 
 
 def with_measured_sensor_noise(model: NoiseModel, loaded: LoadedSet) -> NoiseModel:
@@ -59,7 +59,7 @@ def with_measured_sensor_noise(model: NoiseModel, loaded: LoadedSet) -> NoiseMod
     }
     # A command may have changed anywhere within a row.
     unsure_s = 0.5 * max(1.0 / loaded.rates["control"] - CONTROL_PERIOD_S, 0.0)
-    unsure = {key.format(joint): unsure_s for key in LATE_KEYS for joint in ACTIVE_JOINTS}
+    unsure = {key.format(joint): unsure_s for key in _LATE_KEYS for joint in ACTIVE_JOINTS}
     louder = shaking["swing.gyro"] ** 2 - 1.0
     set_scatter = model.set_scatter
     for name in unsure | NOISE_LIKE_SD:

@@ -116,7 +116,7 @@ def _grid(likelihood: MarginalLikelihood, groups: Sequence[int]) -> list[Startin
     """Single effects at several sizes, as far as they gain along their slopes or move a part that deviates.
 
     Neither alone is enough: slopes do not show effects with jumps, and of two effects that look alike the
-    part of one may not deviate. A drift starts at its size along the slopes of no effect.
+    part of one may not deviate. A drift that gains starts at its size along the slopes of no effect.
     """
     problem, points = likelihood.problem, list[StartingPoint]()
     priors = problem.layout.priors
@@ -124,11 +124,11 @@ def _grid(likelihood: MarginalLikelihood, groups: Sequence[int]) -> list[Startin
     for group in groups:
         index = priors.groups[group]
         gain, along = linear[group]
-        is_drift = int(index[0]) >= problem.layout.parameter_count
-        if gain <= 0.0 and (is_drift or not _can_matter(problem, group)):
+        if int(index[0]) >= problem.layout.parameter_count:
+            if gain > 0.0:
+                points.append(((group,), along))
             continue
-        if is_drift:
-            points.append(((group,), along))
+        if gain <= 0.0 and not _can_matter(problem, group):
             continue
         is_linear = EFFECTS[problem.layout.groups[group][0]].growth == "linear"
         for way in _ways(index.size):

@@ -93,22 +93,6 @@ def as_unseen(
     return found
 
 
-def _rows(p: PreparedThrow, joint: int) -> slice:
-    block = p.block(f"actuation.{ACTIVE_JOINTS[joint]}")
-    return slice(0) if block is None else block.rows
-
-
-def _inputs(p: PreparedThrow, linear: LinearThrow, joint: int) -> Array:
-    """Inputs (n, k) of a joint's filter, averaged as the compared samples are."""
-    ticks = inputs(p.motion, joint, linear.predicted_velocity[:, joint])
-    return p.joint_pair @ np.stack([_at_sensors(p, one) for one in ticks.T], axis=1)
-
-
-def _at_sensors(p: PreparedThrow, track: Array) -> Array:
-    """A track (T,) of control ticks at the joint sensors' times."""
-    return np.interp(p.joint_at_s, p.motion.t_s, track)
-
-
 def filters_help(
     prepared: Sequence[PreparedThrow], linear: Sequence[LinearThrow], filters: HealthyModel
 ) -> bool:
@@ -131,3 +115,19 @@ def filters_help(
         if before > 0.0 and after > 0.0:
             gains.append(float(np.log(before / after)))
     return not gains or float(np.mean(gains)) >= 0.0
+
+
+def _rows(p: PreparedThrow, joint: int) -> slice:
+    block = p.block(f"actuation.{ACTIVE_JOINTS[joint]}")
+    return slice(0) if block is None else block.rows
+
+
+def _inputs(p: PreparedThrow, linear: LinearThrow, joint: int) -> Array:
+    """Inputs (n, k) of a joint's filter, averaged as the compared samples are."""
+    ticks = inputs(p.motion, joint, linear.predicted_velocity[:, joint])
+    return p.joint_pair @ np.stack([_at_sensors(p, one) for one in ticks.T], axis=1)
+
+
+def _at_sensors(p: PreparedThrow, track: Array) -> Array:
+    """A track (T,) of control ticks at the joint sensors' times."""
+    return np.interp(p.joint_at_s, p.motion.t_s, track)
